@@ -145,6 +145,14 @@ effects! {
             (_, true) => "[[solid]] and [[obstacle]] with keyframes",
         }
         .to_owned();
+    /// Contact of solids with each other: rows of all contacts in the solve of the solids, on the f64 path.
+    solid_contact: |scene, effects| effects.solids && scene.solver.solid_contact,
+        |scene, effects| match (effects.solids, scene.solver.solid_contact) {
+            (false, _) => "there are no solids",
+            (_, false) => "solver.solid_contact = false",
+            (_, true) => "solver.solid_contact = true",
+        }
+        .to_owned();
     /// Liquid and solids: `clip` in every sub-step, coupling matrix J, and one solve for both while they touch.
     coupling: |scene, effects| scene.liquid.is_some() && effects.solids,
         |_, effects| coupling(effects).to_owned();

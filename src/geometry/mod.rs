@@ -6,10 +6,12 @@
 //! - [`ObstacleCut`]: the same with moving obstacles, in every sub-step
 //! - [`SolidClip`]: the same with deforming solids, and [`Coupling`], their patches as sparse lists by cell and by node
 //! - [`ContactField`]: distance and motion of the obstacles as nodes of solids meet them
+//! - [`contact_pairs`]: contact candidates between the surfaces of different bodies
 //! - [`TetMesh`], [`solid_meshes`]: tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`SourcesAndSinks`]: sources and sinks as cells and faces of the grid
 //! - [`Regions`], [`LiquidSurface`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the initial liquid
 
+mod body_contacts;
 mod clip;
 mod contact_field;
 mod coupling;
@@ -41,6 +43,7 @@ mod tet_shapes;
 mod thickness;
 mod vtu;
 
+pub use body_contacts::{ContactPair, contact_pairs};
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use contact_field::{ContactField, RigidVelocity};
 pub use coupling::{CellNode, Coupling};

@@ -1,7 +1,8 @@
-//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, incomplete factors, Krylov methods, extreme eigenvalues, Matrix
-//! Market. The only room that uses faer.
+//! Linear algebra in f64 on the CPU: sparse matrices, Cholesky, incomplete factors, Krylov methods, extreme eigenvalues,
+//! complementarity problems, Matrix Market. The only room that uses faer.
 
 mod cholesky;
+mod complementarity;
 mod conjugate_gradient;
 mod csr;
 mod eigenvalues;
@@ -10,6 +11,7 @@ mod matrix_market;
 mod minimal_residual;
 
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
+pub use complementarity::{Complementarity, complementarity};
 pub use conjugate_gradient::{
     CgEnd, CgReport, LinearOperator, conjugate_gradient, conjugate_gradient_with_test,
     stabilised_biconjugate_gradient,

@@ -9,7 +9,7 @@ use glam::DVec3;
 use super::active_cells::components;
 use super::pressure_system::Stencil;
 use crate::elastic::Solids;
-use crate::geometry::Coupling;
+use crate::geometry::{Coupling, bounds};
 use crate::grid::{Axis, Grid};
 
 /// Whether each cell is in a component of active cells that touches nothing. `open`: apertures of the faces for the
@@ -57,6 +57,30 @@ pub fn ballistic_bodies(
         ballistic[body] = !nodes.any(touches);
     }
     ballistic
+}
+
+/// Unmarks ballistic bodies whose boxes come within a cell (`dx`, m) of those of others in a sub-step of dt (s): they may touch.
+pub fn hold_near_others(
+    solids: &Solids,
+    dx: f64,
+    dt: f64,
+    displacement: &[[f64; 3]],
+    velocity: &[[f64; 3]],
+    ballistic: &mut [bool],
+) {
+    let end = |node: usize| {
+        solids.rest[node] + DVec3::from(displacement[node]) + dt * DVec3::from(velocity[node])
+    };
+    let boxes = solids.bodies.iter();
+    let boxes: Vec<[DVec3; 2]> = boxes
+        .map(|body| bounds(body.nodes.clone().map(end)))
+        .collect();
+    for (number, [low, high]) in boxes.iter().enumerate() {
+        let near = |(other, [from, to]): (usize, &[DVec3; 2])| {
+            other != number && from.cmple(*high + dx).all() && to.cmpge(*low - dx).all()
+        };
+        ballistic[number] &= !boxes.iter().enumerate().any(near);
+    }
 }
 
 /// Whether liquid in the filled cells touches each of n nodes.

@@ -21,6 +21,7 @@
 use glam::{DMat3, DVec3};
 
 use super::SolidSystem;
+use super::contact_rows::Row;
 use super::sample::normal;
 use crate::elastic::Solids;
 use crate::geometry::ContactField;
@@ -247,6 +248,31 @@ impl Contacts {
             dt,
             near: NEAR * grid.dx,
         }
+    }
+
+    /// The rows of all surfaces that nodes may reach within a distance, m.
+    pub(super) fn rows(&self, reach: f64) -> Vec<Row> {
+        let nodes = self.surfaces.iter().enumerate();
+        let rows = nodes.flat_map(|(node, surfaces)| {
+            let near = |surface: &&Surface| surface.gap <= reach;
+            surfaces
+                .iter()
+                .flatten()
+                .filter(near)
+                .map(move |surface| Row {
+                    nodes: vec![(node, surface.normal)],
+                    least: -surface.gap / self.dt,
+                })
+        });
+        rows.collect()
+    }
+
+    /// Without active surfaces.
+    pub(super) fn none_active(mut self) -> Contacts {
+        for surface in self.surfaces.iter_mut().flatten().flatten() {
+            surface.active = false;
+        }
+        self
     }
 
     /// A feasible initial velocity, m/s: zero except for prescribed components and penetrating nodes.

@@ -772,6 +772,8 @@ pub struct Solver {
     pub pressure_on_patches: PatchPressure,
     /// Unknowns of a coupled solve on a GPU; default `auto`.
     pub formulation: Formulation,
+    /// Contact of solids with each other; default off.
+    pub solid_contact: bool,
 }
 
 impl Default for Solver {
@@ -787,6 +789,7 @@ impl Default for Solver {
             coupling: CouplingScheme::Strong,
             pressure_on_patches: PatchPressure::Hydrostatic,
             formulation: Formulation::Auto,
+            solid_contact: false,
         }
     }
 }

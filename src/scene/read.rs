@@ -112,6 +112,7 @@ const SOLVER: Keys = Keys {
         "face_areas",
         "pressure_on_patches",
         "formulation",
+        "solid_contact",
     ],
     absent: &[
         ("sigma", "the two-field form halves the masses"),
@@ -813,6 +814,15 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
         )
     })?;
     coupled_solver(&table, surface.is_some() && has_solids, &mut solver)?;
+    solver.solid_contact = table.optional("solid_contact", false, |place| {
+        let contact = place.boolean()?;
+        place.ensure(
+            !contact || (has_solids && surface.is_none()),
+            "is for scenes of solids without liquid",
+            "remove it, or remove the liquid",
+        )?;
+        Ok(contact)
+    })?;
     solver.area_clamp = table.optional("area_clamp", solver.area_clamp, |place| {
         place.number_within(
             "the smallest aperture of a face",

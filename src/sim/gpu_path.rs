@@ -47,12 +47,19 @@ pub struct GpuPath {
 /// Readbacks for the probes: liquid columns in order, and arrays of the nodes that the probes need.
 pub(super) type Probed = (Vec<f64>, NodeReadback);
 
-/// Checks that the device has kernels for the separation of a scene.
+/// Checks that the device has kernels for the effects of a scene.
 ///
 /// # Errors
-/// [`Error::Input`] for separation beside elastic solids.
-pub fn check_separation(scene: &Scene) -> Result<(), Error> {
+/// [`Error::Input`] for separation beside elastic solids, and contact of solids with each other.
+pub fn check_kernels(scene: &Scene) -> Result<(), Error> {
     let effects = Effects::of(scene);
+    if effects.solid_contact {
+        return Err(Error::input(
+            scene.at("solver.solid_contact"),
+            "contact of solids with each other needs the f64 path: the GPU has no kernels for it",
+            "use --backend cpu, or solid_contact = false",
+        ));
+    }
     match effects.separation && effects.solids {
         false => Ok(()),
         true => Err(Error::input(
@@ -78,7 +85,7 @@ impl GpuPath {
         solids: &Solids,
         choice: &AdapterChoice,
     ) -> Result<GpuPath, Error> {
-        check_separation(scene)?;
+        check_kernels(scene)?;
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
         let memory = HostMemory::new(scene, solids, false)?;

@@ -15,7 +15,7 @@ mod squeeze;
 mod step;
 mod warnings;
 
-pub use gpu_path::{GpuPath, check_separation};
+pub use gpu_path::{GpuPath, check_kernels};
 pub use memory::{HostMemory, free_memory};
 pub use plan::{Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};

@@ -89,6 +89,9 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
             rounded(overlap.depth)
         ));
     }
+    if scene.solver.solid_contact {
+        return;
+    }
     let reach: Vec<[DVec3; 2]> = (0..solids.bodies.len())
         .map(|number| reach(scene, solids, number, &moved.nodes))
         .collect();
@@ -108,7 +111,7 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
             n => format!(", {n} more pairs too"),
         };
         warnings.push(format!(
-            "solids \"{}\" and \"{}\" may meet{more}: solids pass through each other, since there is no contact between them",
+            "solids \"{}\" and \"{}\" may meet{more}: solids pass through each other, since there is no contact between them without solver.solid_contact",
             name(a),
             name(b)
         ));

@@ -365,6 +365,11 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["pushing_obstacles"],
         ),
         (
+            &[RAFT, NODE],
+            &["solver.solid_contact=true"],
+            &["solid_contact"],
+        ),
+        (
             &[POOL, RAFT, "solver.pressure_on_patches=cell"],
             &["solver.pressure_on_patches=hydrostatic"],
             &["patch_correction"],

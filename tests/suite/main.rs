@@ -77,6 +77,7 @@ mod taps;
 mod tet_files;
 mod tet_mesh;
 mod time_step;
+mod touching;
 mod traffic;
 mod twin_advect_level;
 mod twin_advect_markers;

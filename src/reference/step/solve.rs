@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::SubStep;
 use crate::Error;
+use crate::reference::contact_rows::solve_in_rows;
 use crate::reference::path::SolidModel;
 use crate::reference::{
     Candidates, CoupledSystem, Formulation, PressureSystem, SQUEEZE, Separation, SolidSystem,
@@ -122,8 +123,15 @@ impl SubStep<'_> {
             self.results.solid.as_mut().zip(self.model.solid.as_ref())
         {
             let SolidModel { solids, solver, .. } = part;
-            let (velocity, report, contact) =
-                solver.solve_in_contact(solids, system, contacts, settings)?;
+            let (velocity, report, contact) = match self.model.effects.solid_contact {
+                false => solver.solve_in_contact(solids, system, contacts, settings)?,
+                true => {
+                    let moved = solids.moved(&self.after.displacement);
+                    let touching = (&*contacts, &moved.nodes[..]);
+                    let dx = self.model.grid.dx;
+                    solve_in_rows(solver, (solids, system), touching, dx, settings)?
+                }
+            };
             self.after.node_velocity = velocity;
             (self.results.solves[1], self.results.contact) = (Some(report), contact);
         }

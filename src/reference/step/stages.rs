@@ -11,9 +11,9 @@ use crate::reference::{
     active_cells, add_spray, advect_markers, advect_velocity, advect_velocity_maccormack,
     ballistic_bodies, ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence,
     empty_sinks, exchanged_volume, extrapolate_one_sided, filled_distance, forces, hold_faces,
-    liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes,
-    patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
-    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
+    hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces,
+    open_volumes, patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers,
+    solid_matrices, solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -52,7 +52,19 @@ impl SubStep<'_> {
         };
         let falling = (self.model.scene.domain.gravity, self.time_step.dt);
         let (u, v) = (&before.displacement, &before.node_velocity);
-        ballistic_bodies(solids, &self.model.grid, distance, &wet, falling, u, v)
+        let mut ballistic =
+            ballistic_bodies(solids, &self.model.grid, distance, &wet, falling, u, v);
+        if self.model.effects.solid_contact {
+            hold_near_others(
+                solids,
+                self.model.grid.dx,
+                self.time_step.dt,
+                u,
+                v,
+                &mut ballistic,
+            );
+        }
+        ballistic
     }
 
     pub(super) fn clip(&mut self) {
@@ -246,6 +258,10 @@ impl SubStep<'_> {
         let mut rhs = solid_right_hand_side(solids, matrices, velocity, dt);
         rhs.add(solids, &forces);
         let contacts = Contacts::new(solids, obstacles, displacement, &rhs.values, dt);
+        let contacts = match self.model.effects.solid_contact {
+            true => contacts.none_active(),
+            false => contacts,
+        };
         let freedom = contacts.hold(velocity);
         let stiffness = matrices.stiffness.clone();
         let system = SolidSystem::new(solids, stiffness, &rhs, velocity, freedom, dt);

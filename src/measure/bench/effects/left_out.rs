@@ -64,6 +64,7 @@ effects! {
     pushing_obstacles: |scene| if !scene.solids.is_empty() {
         scene.obstacles.iter_mut().for_each(|obstacle| obstacle.motion = None);
     };
+    solid_contact: |scene| scene.solver.solid_contact = false;
     patch_correction: |scene| scene.solver.pressure_on_patches = PatchPressure::Cell;
     probes: |scene| scene.probes.clear();
 }

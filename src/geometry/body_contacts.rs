@@ -1,0 +1,266 @@
+//! Contact candidates between surfaces of different bodies: nodes beside faces, and edges beside edges.
+//!
+//! A node has the nearest point of the other surface. Two edges that cross have their nearest points, where these are
+//! local minima of the distance between the surfaces. Edges between nearly coplanar faces have none of their own: nodes
+//! beside faces represent them.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+
+use glam::DVec3;
+use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+use rayon::prelude::*;
+
+/// Cosine between the normals of two faces above which their common edge counts as flat.
+const FLAT: f64 = 0.99;
+/// Part of an edge at its ends where its nodes stand for it.
+const ENDS: f64 = 1e-3;
+/// Squared sine of the angle below which edges count as parallel.
+const PARALLEL: f64 = 1e-4;
+/// Distance over reach below which the direction to the nearest point is that of the normal.
+const NO_DIRECTION: f64 = 1e-9;
+/// Slack of the local minimum: sine of an angle.
+const SLACK: f64 = 1e-2;
+
+/// Two points of different bodies that may touch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ContactPair {
+    /// Nodes and weights: 1 in all on the one body, -1 in all on the other. Ascending nodes; weights are not 0.
+    pub points: Vec<(u32, f64)>,
+    /// Unit normal from the second body to the first.
+    pub normal: DVec3,
+    /// Distance along the normal, m; negative where the bodies overlap.
+    pub gap: f64,
+}
+
+/// An edge of a surface with its two faces.
+#[derive(Clone, Copy, Debug)]
+struct Edge {
+    nodes: [u32; 2],
+    /// Outward unit normals of the faces.
+    normals: [DVec3; 2],
+    /// Unit directions from the edge into the faces, along them.
+    inwards: [DVec3; 2],
+}
+
+/// Surface of a body.
+struct Skin {
+    mesh: TriMesh,
+    /// Node of each vertex of the mesh, ascending.
+    nodes: Vec<u32>,
+    /// Edges that are not flat.
+    edges: Vec<Edge>,
+    low: DVec3,
+    high: DVec3,
+}
+
+impl Skin {
+    /// `positions` of all nodes, m; `triangles` counter-clockwise from outside.
+    fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Skin> {
+        let nodes: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
+        let nodes: Vec<u32> = nodes.into_iter().collect();
+        let vertices: Vec<DVec3> = nodes.iter().map(|&node| positions[node as usize]).collect();
+        let local = |node: u32| nodes.partition_point(|&other| other < node) as u32;
+        let faces = triangles
+            .iter()
+            .map(|triangle| triangle.map(local))
+            .collect();
+        let [low, high] = super::bounds(vertices.iter().copied());
+        let mesh = TriMesh::with_flags(vertices, faces, TriMeshFlags::ORIENTED).ok()?;
+        Some(Skin {
+            mesh,
+            edges: sharp_edges(positions, triangles),
+            nodes,
+            low,
+            high,
+        })
+    }
+
+    /// Whether the box of some points is within `reach` (m) of the body's.
+    fn is_near(&self, points: &[DVec3], reach: f64) -> bool {
+        let [low, high] = super::bounds(points.iter().copied());
+        low.cmple(self.high + reach).all() && high.cmpge(self.low - reach).all()
+    }
+
+    /// The pair of a node (m) of another body and the nearest point of this surface within `reach` (m).
+    fn beside(&self, node: u32, x: DVec3, reach: f64) -> Option<ContactPair> {
+        let mesh = &self.mesh;
+        let (nearest, (face, at)) =
+            mesh.project_local_point_and_get_location_with_max_dist(x, false, reach)?;
+        let weights = at.barycentric_coordinates()?;
+        let sign = if nearest.is_inside { -1.0 } else { 1.0 };
+        let (arm, distance) = (x - nearest.point, x.distance(nearest.point));
+        let normal = match distance > NO_DIRECTION * reach {
+            true => sign / distance * arm,
+            false => mesh.triangle(face).normal()?,
+        };
+        let corners = mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize]);
+        let others = corners.into_iter().zip(weights.map(|weight| -weight));
+        let points = others.chain([(node, 1.0)]);
+        Some(ContactPair::new(points, normal, sign * distance))
+    }
+}
+
+impl ContactPair {
+    fn new(points: impl Iterator<Item = (u32, f64)>, normal: DVec3, gap: f64) -> ContactPair {
+        let mut points: Vec<_> = points.filter(|(_, weight)| *weight != 0.0).collect();
+        points.sort_by_key(|(node, _)| *node);
+        ContactPair {
+            points,
+            normal,
+            gap,
+        }
+    }
+
+    fn key(&self) -> Vec<u32> {
+        self.points.iter().map(|(node, _)| *node).collect()
+    }
+}
+
+/// The pairs within `reach` (m) of all bodies, one per set of nodes, in the order of their nodes. `positions` of all nodes,
+/// m; `bodies`: ranges of `triangles`.
+pub fn contact_pairs(
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
+    bodies: &[Range<usize>],
+    reach: f64,
+) -> Vec<ContactPair> {
+    let skins = bodies.iter();
+    let skins = skins.filter_map(|body| Skin::new(positions, &triangles[body.clone()]));
+    let skins: Vec<Skin> = skins.collect();
+    let mut pairs = Vec::new();
+    for (number, skin) in skins.iter().enumerate() {
+        for (other_number, other) in skins.iter().enumerate() {
+            let apart = !other.is_near(&[skin.low, skin.high], reach);
+            if other_number == number || apart {
+                continue;
+            }
+            let beside = |&node: &u32| {
+                let x = positions[node as usize];
+                other
+                    .is_near(&[x], reach)
+                    .then(|| other.beside(node, x, reach))?
+            };
+            pairs.par_extend(skin.nodes.par_iter().filter_map(beside));
+            if number < other_number {
+                edge_pairs(positions, skin, other, reach, &mut pairs);
+            }
+        }
+    }
+    pairs.sort_by_cached_key(ContactPair::key);
+    pairs.dedup_by_key(|pair| pair.key());
+    pairs
+}
+
+/// Edges of a surface whose faces are not coplanar.
+fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
+    let at = |node: u32| positions[node as usize];
+    let mut sides: Vec<([u32; 2], DVec3, DVec3)> = Vec::new();
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(at);
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        for side in 0..3 {
+            let [from, to] = [triangle[side], triangle[(side + 1) % 3]];
+            // Counter-clockwise, the face lies to the left of its sides.
+            let inwards = normal.cross(at(to) - at(from)).normalize_or_zero();
+            sides.push(([from.min(to), from.max(to)], normal, inwards));
+        }
+    }
+    sides.sort_by_key(|(nodes, ..)| *nodes);
+    let edges = sides.chunk_by(|a, b| a.0 == b.0);
+    edges
+        .filter_map(|faces| match faces {
+            [one, two] if one.1.dot(two.1) < FLAT => Some(Edge {
+                nodes: one.0,
+                normals: [one.1, two.1],
+                inwards: [one.2, two.2],
+            }),
+            _ => None,
+        })
+        .collect()
+}
+
+/// Adds the pairs of edges of two bodies.
+fn edge_pairs(
+    positions: &[DVec3],
+    skin: &Skin,
+    other: &Skin,
+    reach: f64,
+    pairs: &mut Vec<ContactPair>,
+) {
+    let ends = |edge: &Edge| edge.nodes.map(|node| positions[node as usize]);
+    let near = |edges: &[Edge], body: &Skin| -> Vec<Edge> {
+        let near = |edge: &&Edge| body.is_near(&ends(edge), reach);
+        edges.iter().filter(near).copied().collect()
+    };
+    let [ours, theirs] = [near(&skin.edges, other), near(&other.edges, skin)];
+    let found = ours.par_iter().flat_map_iter(|a| {
+        let pair = |b: &Edge| edge_pair(ends, a, b, reach);
+        theirs.iter().filter_map(pair)
+    });
+    pairs.par_extend(found);
+}
+
+/// The pair of the nearest points of two edges, if they are inside the edges and the surfaces are not nearer beside them.
+fn edge_pair(
+    ends: impl Fn(&Edge) -> [DVec3; 2],
+    a: &Edge,
+    b: &Edge,
+    reach: f64,
+) -> Option<ContactPair> {
+    let ([a0, a1], [b0, b1]) = (ends(a), ends(b));
+    let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
+    let apart = (a0.max(a1) + reach).cmplt(b0.min(b1)).any()
+        || (b0.max(b1) + reach).cmplt(a0.min(a1)).any();
+    let (uu, uv, vv) = (u.length_squared(), u.dot(v), v.length_squared());
+    let determinant = uu * vv - uv * uv;
+    if apart || determinant <= PARALLEL * uu * vv {
+        return None;
+    }
+    let s = (uv * v.dot(w) - vv * u.dot(w)) / determinant;
+    let t = (uu * v.dot(w) - uv * u.dot(w)) / determinant;
+    let inside = ENDS..1.0 - ENDS;
+    if !inside.contains(&s) || !inside.contains(&t) {
+        return None;
+    }
+    let arm = (a0 + s * u) - (b0 + t * v);
+    let distance = arm.length();
+    if distance > reach {
+        return None;
+    }
+    let outwards = b.normals[0] + b.normals[1] - a.normals[0] - a.normals[1];
+    let direction = match distance > NO_DIRECTION * reach {
+        true => arm / distance,
+        false => {
+            let across = u.cross(v).normalize();
+            across * across.dot(outwards).signum()
+        }
+    };
+    // Of bodies apart the arm leaves b and ends at a, of overlapping ones it leads back into both.
+    let leaves = |edge: &Edge, way: DVec3| {
+        edge.inwards
+            .iter()
+            .all(|inwards| way.dot(*inwards) <= SLACK)
+    };
+    let sign = if direction.dot(outwards) >= 0.0 {
+        1.0
+    } else {
+        -1.0
+    };
+    let normal = sign * direction;
+    if !leaves(b, normal) || !leaves(a, -normal) {
+        return None;
+    }
+    let points = [
+        (a.nodes[0], 1.0 - s),
+        (a.nodes[1], s),
+        (b.nodes[0], t - 1.0),
+        (b.nodes[1], -t),
+    ];
+    Some(ContactPair::new(
+        points.into_iter(),
+        normal,
+        sign * distance,
+    ))
+}

@@ -1,0 +1,237 @@
+//! Solids that touch each other (`solver.solid_contact`), on the f64 path.
+
+use cutwater::geometry::obstacle_cut;
+use cutwater::gpu::AdapterChoice;
+use cutwater::reference::{Reference, TimeStep};
+use cutwater::scene::{Placement, Scene, Solid, SolidMesh};
+use cutwater::sim::{Backend, Plan, Simulation};
+use cutwater::state::State;
+use glam::{DMat3, DVec3};
+
+use crate::common::Random;
+use crate::solid_cases::{held, region};
+use crate::solid_scene::{block, body, scene_of, solids_of};
+
+/// A sub-step's numbers of the bodies.
+struct Sample {
+    /// Momentum of each body, kg m/s.
+    momentum: Vec<DVec3>,
+    /// About the origin, kg m^2/s.
+    angular: DVec3,
+    /// Kinetic, elastic and potential, J.
+    energy: f64,
+    /// Largest overlap of a node with another body, m.
+    overlap: f64,
+    positions: Vec<DVec3>,
+}
+
+/// Runs sub-steps of dt (s) and returns their numbers, those of the start first.
+fn run(solids: Vec<Solid>, gravity: f64, dt: f64, steps: usize) -> Vec<Sample> {
+    let mut scene = scene_of(solids);
+    scene.domain.gravity = DVec3::new(0.0, gravity, 0.0);
+    scene.solver.solid_contact = true;
+    let solids = solids_of(&scene);
+    let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
+    let (displacement, node_velocity) = solids.initial_state(&scene);
+    let state = State {
+        displacement,
+        node_velocity,
+        ..State::default()
+    };
+    let mut reference = Reference::new(&scene, cut, solids.clone(), state).unwrap();
+    let sample = |reference: &Reference, energy: f64| {
+        let state = reference.state();
+        let x = |node: usize| solids.rest[node] + DVec3::from(state.displacement[node]);
+        let p = |node: usize| solids.mass[node] * DVec3::from(state.node_velocity[node]);
+        let bodies = solids.bodies.iter();
+        let positions: Vec<DVec3> = (0..solids.rest.len()).map(x).collect();
+        let ranges: Vec<_> = bodies.clone().map(|body| body.triangles.clone()).collect();
+        let pairs = cutwater::geometry::contact_pairs(&positions, &solids.triangles, &ranges, 0.02);
+        Sample {
+            momentum: bodies.map(|body| body.nodes.clone().map(p).sum()).collect(),
+            angular: (0..solids.rest.len())
+                .map(|node| x(node).cross(p(node)))
+                .sum(),
+            energy,
+            overlap: pairs
+                .iter()
+                .fold(0.0, |worst, pair| f64::max(worst, -pair.gap)),
+            positions,
+        }
+    };
+    let mut samples = vec![sample(&reference, f64::NAN)];
+    for _ in 0..steps {
+        let time_step = TimeStep {
+            dt,
+            ..reference.next_time_step()
+        };
+        let report = reference.step(time_step).unwrap().solid.unwrap();
+        assert_eq!(report.contact.unsettled, 0, "{report:?}");
+        let it = report.diagnosis;
+        let energy = it.kinetic_energy + it.elastic_energy + it.potential_energy;
+        samples.push(sample(&reference, energy));
+    }
+    samples
+}
+
+/// Two equal bars of 0.5 m meet at 1 m/s: they exchange their momenta, to rounding in sum, while a wave runs to the ends and back, 2 L / c.
+#[test]
+fn equal_bars_exchange_their_momenta() {
+    let bar = |x: f64, speed: f64| {
+        let mut bar = block([0.5, 0.1, 0.1], [20, 2, 2]);
+        bar.placement.translate = DVec3::new(x, 2.0, 2.0);
+        (bar.young, bar.poisson, bar.initial.velocity) = (1e6, 0.0, speed * DVec3::X);
+        bar
+    };
+    // c = sqrt(E / rho) = 31.6 m/s.
+    let (dt, c) = (2e-4, 1e3_f64.sqrt());
+    let samples = run(vec![bar(1.0, 0.5), bar(1.5005, -0.5)], 0.0, dt, 250);
+    let whole = samples[0].momentum[0].length();
+    for sample in &samples {
+        let sum: DVec3 = sample.momentum.iter().sum();
+        assert!(sum.length() <= 1e-11 * whole, "{sum}");
+    }
+    let forces: Vec<f64> = samples
+        .windows(2)
+        .map(|pair| (pair[1].momentum[0] - pair[0].momentum[0]).length() / dt)
+        .collect();
+    // The width of a pulse of constant force.
+    let impulse: f64 = forces.iter().map(|f| f * dt).sum();
+    let width = impulse * impulse / forces.iter().map(|f| f * f * dt).sum::<f64>();
+    let theory = 2.0 * 0.5 / c;
+    println!(
+        "{width} s for {theory}; {} of the momentum",
+        impulse / whole
+    );
+    assert!(
+        (width / theory - 1.0).abs() <= 0.05,
+        "{width} s for {theory}"
+    );
+    // Backward Euler widens the fronts of the wave to sqrt(c dt t) after t = 2 L / c: 0.08 of its way. What is in them, at both ends of
+    // the pulse, stays behind as vibration.
+    let after = -samples.last().unwrap().momentum[0].x / whole;
+    let fronts = (c * dt / (2.0 * 0.5)).sqrt();
+    assert!((1.0 - 2.0 * fronts..=1.001).contains(&after), "{after}");
+}
+
+/// Bodies thrown at each other in any position keep momentum and angular momentum, gain no energy, and do not pass through each other.
+#[test]
+fn thrown_bodies_bounce_off_each_other() {
+    let mut random = Random(11);
+    for case in 0..24 {
+        let young = [1e4, 1e5, 1e7, 1e9][case % 4];
+        let dt = [1.0 / 240.0, 1.0 / 60.0][case / 4 % 2];
+        let mut thrown = |x: f64, speed: f64| {
+            let mesh = match random.bits() % 3 {
+                0 => SolidMesh::Sphere {
+                    radius: 0.12,
+                    cell_size: 0.06,
+                },
+                1 => SolidMesh::Box {
+                    size: DVec3::splat(0.2),
+                    cells: [2, 2, 2],
+                },
+                _ => SolidMesh::Box {
+                    size: DVec3::new(0.3, 0.15, 0.15),
+                    cells: [4, 2, 2],
+                },
+            };
+            let mut any = || DVec3::from([(); 3].map(|()| random.uniform(-1.0, 1.0)));
+            let (axis, shift, spin) = (any().normalize(), 0.05 * any(), 2.0 * any());
+            let mut solid = body(mesh);
+            solid.placement = Placement {
+                translate: DVec3::new(x, 2.0, 2.0) + shift * DVec3::new(0.0, 1.0, 1.0),
+                rotate: DMat3::from_axis_angle(axis, 2.0),
+                ..Placement::default()
+            };
+            (solid.young, solid.poisson) = (young, 0.3);
+            (solid.initial.velocity, solid.initial.spin) = (speed * DVec3::X, spin);
+            solid
+        };
+        let bodies = vec![thrown(1.7, 1.0), thrown(2.3, -1.0)];
+        let samples = run(bodies, 0.0, dt, (0.8 / dt) as usize);
+        let first = &samples[0];
+        let [p, l] = [first.momentum.iter().sum::<DVec3>(), first.angular];
+        let scale = first.momentum[0].length();
+        let what = format!("case {case}, {young} Pa, {dt} s");
+        for pair in samples[1..].windows(2) {
+            let sum: DVec3 = pair[1].momentum.iter().sum();
+            assert!((sum - p).length() <= 1e-9 * scale, "{what}: {sum} for {p}");
+        }
+        let last = samples.last().unwrap();
+        let most = samples[1..]
+            .iter()
+            .map(|sample| sample.energy / samples[1].energy);
+        let most = most.fold(0.0, f64::max);
+        let overlap = samples
+            .iter()
+            .map(|sample| sample.overlap)
+            .fold(0.0, f64::max);
+        let swing = (last.angular - l).length() / l.length().max(scale * 0.1);
+        println!(
+            "{what}: energy at most {most:.5}, overlap {overlap:.5} m, angular momentum {swing:.1e}"
+        );
+        // Soft bodies stretch by v / c = 0.3, where the rotations of a sub-step are linearised.
+        assert!(most <= 1.005, "{what}: {most}");
+        // Relative velocity along x is not what it was: they have met.
+        let before = first.momentum[0].x;
+        assert!(last.momentum[0].x < 0.6 * before, "{what}: they met");
+        // A row holds for the nearest points at the start of a sub-step. Soft bodies crush each other in it: an element is 0.06 to 0.1 m.
+        let allowed = if young < 1e5 { 0.025 } else { 0.01 };
+        assert!(overlap <= allowed, "{what}: {overlap} m deep");
+    }
+}
+
+/// Three blocks on each other, guided along y since nothing rubs, come to rest and stay there. Each is smaller than what it stands on: where
+/// edges lie on each other, they may slip past.
+#[test]
+fn a_stack_stands() {
+    for young in [1e5, 1e8] {
+        let level = |n: usize| {
+            let mut block = block([[0.2, 0.16, 0.12][n]; 3], [[2, 3, 2][n]; 3]);
+            block.placement.translate = DVec3::new(2.0, [0.1, 0.281, 0.422][n], 2.0);
+            (block.young, block.mass_damping) = (young, 5.0);
+            let everywhere = region(DVec3::ZERO, DVec3::splat(4.0));
+            block.pins = vec![held(everywhere, [true, false, true])];
+            block
+        };
+        let samples = run((0..3).map(level).collect(), -9.81, 1.0 / 60.0, 180);
+        let [late, last] = [&samples[120], samples.last().unwrap()];
+        let drift = late.positions.iter().zip(&last.positions);
+        let drift = drift.fold(0.0, |most, (a, b)| f64::max(most, a.distance(*b)));
+        println!("{young}: drift {drift} m, overlap {} m", last.overlap);
+        // A hundredth of an element.
+        assert!(drift <= 1e-3, "{young}: {drift} m in a second");
+        assert!(last.overlap <= 1e-3, "{young}: {} m", last.overlap);
+    }
+}
+
+/// The device and scenes with liquid lack it.
+#[test]
+fn contact_of_solids_is_refused_where_it_is_missing() {
+    let text = |liquid: &str| {
+        format!(
+            "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n{liquid}[[solid]]\nname = \"block\"\n\
+             mesh = {{ box = {{ size = [0.2, 0.2, 0.2], cells = [1, 1, 1] }} }}\nplacement = {{ translate = [0.5, 0.7, 0.5] }}\n\
+             density = 1000\nyoung = 1e5\npoisson = 0.3\n[solver]\nsolid_contact = true\n"
+        )
+    };
+    let parse = |text: &str| Scene::parse("touch.toml".as_ref(), text, &[], 1.0);
+    let liquid = "[liquid]\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.2, 1] }\n";
+    let refused = parse(&text(liquid)).unwrap_err().to_string();
+    assert!(
+        refused.contains("solver.solid_contact") && refused.contains("liquid"),
+        "{refused}"
+    );
+    let scene = parse(&text("")).unwrap();
+    let refused = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best));
+    let refused = refused.err().unwrap().to_string();
+    assert!(refused.contains("--backend cpu"), "{refused}");
+    assert!(Simulation::new(&scene, &Backend::Cpu).is_ok());
+    let plan = Plan::new(&scene, None).unwrap();
+    assert!(
+        plan.effects
+            .iter()
+            .any(|effect| effect.name == "solid_contact" && effect.active)
+    );
+}
