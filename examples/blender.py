@@ -41,20 +41,25 @@ def material(body):
 
 materials = {}
 for file in sorted((run / "frames").glob("*.ply")):
-    body, frame = re.fullmatch(r"(.*)_(\d+)", file.stem).groups()
+    numbered = re.fullmatch(r"(.*)_(\d{6})", file.stem)
+    # Obstacles that move have a file per frame too.
+    if not numbered and list(file.parent.glob(f"{file.stem}_*.ply")):
+        continue
+    body, frame = numbered.groups() if numbered else (file.stem, None)
     bpy.ops.wm.ply_import(filepath=str(file), forward_axis="NEGATIVE_Z", up_axis="Y")
     shape, mesh = bpy.context.object, bpy.context.object.data
     # m/s, for the motion blur of Cycles. The importer rotates positions, not attributes.
-    velocity = np.empty((3, len(mesh.vertices)), np.float32)
-    for name, row in zip(("vx", "vy", "vz"), velocity):
-        mesh.attributes[name].data.foreach_get("value", row)
-    turned = np.stack((velocity[0], -velocity[2], velocity[1]), axis=1)
-    mesh.attributes.new("velocity", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", turned.ravel())
+    if "vx" in mesh.attributes:
+        velocity = np.empty((3, len(mesh.vertices)), np.float32)
+        for name, row in zip(("vx", "vy", "vz"), velocity):
+            mesh.attributes[name].data.foreach_get("value", row)
+        turned = np.stack((velocity[0], -velocity[2], velocity[1]), axis=1)
+        mesh.attributes.new("velocity", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", turned.ravel())
     mesh.shade_smooth()
     if body not in materials:
         materials[body] = material(body)
     mesh.materials.append(materials[body])
-    for at, hidden in ((int(frame) - 1, True), (int(frame), False), (int(frame) + 1, True)):
+    for at, hidden in () if frame is None else ((int(frame) - 1, True), (int(frame), False), (int(frame) + 1, True)):
         shape.hide_render = shape.hide_viewport = hidden
         shape.keyframe_insert("hide_render", frame=at)
         shape.keyframe_insert("hide_viewport", frame=at)

@@ -9,7 +9,7 @@ use crate::output::write_mesh;
 /// Check a mesh of a solid, or fill a closed surface: counts, volume, worst element
 #[derive(Debug, clap::Args)]
 pub(super) struct Mesh {
-    /// Tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply)
+    /// Tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply, .glb)
     file: PathBuf,
     /// Factor of all coordinates of the file: 0.001 for a mesh in mm
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
@@ -66,7 +66,7 @@ impl Mesh {
     fn read(&self) -> Result<(TetFile, Option<Surface>), Error> {
         let file = self.file.display().to_string();
         let is_surface = match extension(&self.file).as_str() {
-            "obj" | "stl" | "ply" => true,
+            "obj" | "stl" | "ply" | "glb" | "gltf" => true,
             "msh" | "vtu" => false,
             _ if self.file.is_dir() => {
                 return Err(Error::input(
@@ -86,7 +86,7 @@ impl Mesh {
                 return Err(Error::input(
                     file,
                     "unknown kind of mesh file",
-                    "give tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply)",
+                    "give tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply, .glb)",
                 ));
             }
         };
@@ -98,7 +98,7 @@ impl Mesh {
             )),
             (false, Some(_)) => Err(Error::input(
                 format!("{file}: --cell-size"),
-                "only surfaces (.obj, .stl, .ply) are filled",
+                "only surfaces (.obj, .stl, .ply, .glb) are filled",
                 "remove it",
             )),
             (true, Some(cell_size)) => {

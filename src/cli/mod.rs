@@ -17,6 +17,7 @@ mod report;
 mod run;
 mod schema;
 mod signals;
+mod skin;
 mod sweep;
 
 use std::ffi::OsString;
@@ -68,6 +69,8 @@ enum Command {
     Mesh(mesh::Mesh),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
+    /// Write the solids of a run as surfaces that follow their tetrahedra, and its obstacles, for renderers
+    Skin(skin::Skin),
     /// Draw the probes and the step table of runs as charts
     Plot(plot::Plot),
     /// Collect the results of benches and runs in one HTML page
@@ -227,6 +230,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>, program: Option<&[OsS
         Command::Export(command) => command.run(),
         Command::Mesh(command) => command.run(),
         Command::Preview(command) => command.run(),
+        Command::Skin(command) => command.run(),
         Command::Plot(command) => command.run(),
         Command::Report(command) => command.run(),
     };

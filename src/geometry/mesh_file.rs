@@ -5,7 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::str::FromStr;
 
-use super::{Fault, Surface, obj, ply, stl};
+use super::render_mesh::RenderMesh;
+use super::{Fault, Surface, gltf, obj, ply, stl};
 use crate::error::Error;
 
 /// An error in a file, with its line if known.
@@ -140,24 +141,29 @@ pub fn read(file: &Path) -> Result<Surface, Error> {
 
 /// Parses the contents of a file; the extension of its name is the format.
 pub fn parse(bytes: Vec<u8>, file: &Path) -> Result<Surface, Error> {
-    let extension = extension(file);
-    let surface = match extension.as_str() {
-        "obj" | "stl" | "ply" if bytes.is_empty() => Err(Problem::new(
-            "the file is empty: no triangles",
-            "export the mesh again, and see that the disk has room",
-        )),
-        "obj" => obj::read(&bytes),
-        "stl" => stl::read(&bytes),
-        "ply" => ply::read(&bytes),
-        _ => Err(Problem::new(
-            "unknown kind of mesh file",
-            "use .obj, .stl or .ply",
-        )),
-    }
-    .map_err(|problem| problem.in_file(file))?
-    .welded();
+    let surface = parse_render_mesh(&bytes, file)?.into_surface().welded();
     match surface.fault() {
         Some(fault) => Err(Problem::from(fault).in_file(file)),
         None => Ok(surface),
     }
+}
+
+/// Parses a mesh, which may bound no solid.
+pub(super) fn parse_render_mesh(bytes: &[u8], file: &Path) -> Result<RenderMesh, Error> {
+    let extension = extension(file);
+    match extension.as_str() {
+        "obj" | "stl" | "ply" | "glb" | "gltf" if bytes.is_empty() => Err(Problem::new(
+            "the file is empty: no triangles",
+            "export the mesh again, and see that the disk has room",
+        )),
+        "obj" => obj::read(bytes),
+        "stl" => stl::read(bytes).map(RenderMesh::from),
+        "ply" => ply::read(bytes),
+        "glb" | "gltf" => gltf::read(bytes),
+        _ => Err(Problem::new(
+            "unknown kind of mesh file",
+            "use .obj, .stl, .ply, .glb or .gltf",
+        )),
+    }
+    .map_err(|problem| problem.in_file(file))
 }

@@ -7,6 +7,7 @@
 //! - [`SolidClip`]: the same with deforming solids, and [`Coupling`], their patches as sparse lists by cell and by node
 //! - [`ContactField`]: distance and motion of the obstacles as nodes of solids meet them
 //! - [`contact_pairs`]: contact candidates between the surfaces of different bodies
+//! - [`RenderMesh`], [`Embedding`]: meshes of files with their texture coordinates, moved by tetrahedra
 //! - [`TetMesh`], [`solid_meshes`]: tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`SourcesAndSinks`]: sources and sinks as cells and faces of the grid
 //! - [`Regions`], [`LiquidSurface`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the initial liquid
@@ -18,6 +19,8 @@ mod coupling;
 mod crossing;
 mod disjoint_sets;
 mod distance;
+mod embedding;
+mod gltf;
 mod icosahedron;
 mod inside;
 mod liquid;
@@ -30,6 +33,7 @@ mod parts;
 mod placing;
 mod ply;
 mod polygon;
+mod render_mesh;
 mod solid_clip;
 mod solitary;
 mod sources_sinks;
@@ -47,6 +51,7 @@ pub use body_contacts::{ContactPair, contact_pairs};
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use contact_field::{ContactField, RigidVelocity};
 pub use coupling::{CellNode, Coupling};
+pub use embedding::Embedding;
 pub use inside::inside;
 pub use liquid::{
     LiquidSurface, Regions, empty_regions, estimate_markers, initial_speed, initial_state,
@@ -55,13 +60,14 @@ pub use liquid::{
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cut};
 pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
+pub use render_mesh::{RenderMesh, read_render_mesh};
 pub use solid_clip::{MovedMesh, MovingWall, Nearest, Overlap, SolidClip};
 pub use sources_sinks::{
     Fill, MARKERS_PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, SourcesAndSinks,
 };
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;
-pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
+pub use tet_mesh::{ElementShape, TetMesh, rest_from_file, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};
 pub use thickness::{ThinWall, layers_across, thin_obstacles, thin_solids};
 

@@ -2,11 +2,14 @@
 
 use glam::DVec3;
 
-use super::Surface;
 use super::mesh_file::{Problem, little_endian, number, quoted, split_line, without_mark, words};
 use super::polygon::{Defect, Polygons};
+use super::render_mesh::RenderMesh;
 
 const CURE: &str = "give elements `vertex` with x, y, z and `face` with the list vertex_indices";
+
+/// Names of texture coordinates: of Blender, of VCGlib and of others.
+const TEXTURE: [[&str; 2]; 3] = [["s", "t"], ["texture_u", "texture_v"], ["u", "v"]];
 
 /// Scalar types.
 #[derive(Clone, Copy)]
@@ -86,9 +89,9 @@ impl Row {
 }
 
 /// Reads faces and strips in the order of the file.
-pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
+pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
     let (format, elements, mut data) = header(without_mark(bytes)?)?;
-    let mut surface = Surface::default();
+    let mut surface = RenderMesh::default();
     let mut polygons: Polygons<(&str, u64)> = Polygons::new();
     let mut row = Row::default();
     for element in &elements {
@@ -116,6 +119,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
                     x[axis] = value;
                 }
                 surface.vertices.push(x);
+                for names in TEXTURE {
+                    if let [Some(u), Some(v)] = names.map(|name| element.index(name))
+                        && let (&[u], &[v]) = (row.values(u), row.values(v))
+                    {
+                        surface.texture.push([u as f32, v as f32]);
+                        break;
+                    }
+                }
                 continue;
             }
             let is_strip = element.name == b"tristrips";

@@ -53,6 +53,27 @@ pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
         .collect()
 }
 
+/// Map from the coordinates of the mesh file of a solid to its rest positions, m; from its own axes for a generated mesh. The linear part by
+/// columns, then the translation.
+pub fn rest_from_file(solid: &Solid, what: &str) -> Result<[DVec3; 4], Error> {
+    let (unit, [low, high]) = match solid.mesh {
+        SolidMesh::Surface { ref file, unit, .. } => {
+            let surface = read_surface(file, unit).map_err(|error| error.within(what))?;
+            (unit, surface.bounds())
+        }
+        SolidMesh::File { ref file, unit } => {
+            let read = file.contents(tet_read::read);
+            let read = read.map_err(|error| error.within(what))?;
+            (unit, read.mesh.bounds().map(|x| unit * x))
+        }
+        _ => (1.0, [DVec3::ZERO; 2]),
+    };
+    let centre = 0.5 * (low + high);
+    let placement = solid.placement.about(centre);
+    let [x, y, z] = DVec3::AXES.map(|axis| placement.scale * unit * (placement.rotate * axis));
+    Ok([x, y, z, placement.put(DVec3::ZERO, centre)])
+}
+
 impl TetMesh {
     /// The placed mesh of a solid.
     ///

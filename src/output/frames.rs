@@ -1,22 +1,21 @@
 //! Frame files in VTK's XML formats with a `.pvd` series per kind: VTP markers, VTI cell fields, VTU solids, VTP obstacles and
 //! VTP liquid surfaces, which are written as PLY too.
 //!
-//! Data are f32, inline base64, little endian, uncompressed: vtkio 0.7.0-rc2 announces one block too many for a compressed
-//! array of a multiple of 32768 bytes (every 32^3 field), which VTK refuses.
+//! Data are f32, little endian, compressed ([`vtk`]).
 
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use vtkio::model::{
-    Attribute, Attributes, ByteOrder, CellType, Cells, DataArray, DataSet, Extent, IOBuffer,
-    ImageDataPiece, Piece, PolyDataPiece, UnstructuredGridPiece, Version, VertexNumbers, Vtk,
+    Attribute, Attributes, CellType, Cells, DataArray, DataSet, Extent, IOBuffer, ImageDataPiece,
+    Piece, PolyDataPiece, UnstructuredGridPiece, VertexNumbers,
 };
-use vtkio::xml::Compressor;
 
 use super::atomic::{create_folder, write_atomically};
-use super::ply;
+use super::ply::{self, PlyMesh};
 use super::surface::{DROP_CORNERS, LiquidSurface};
+use super::vtk;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
@@ -129,7 +128,7 @@ impl FrameWriter {
             return Ok(());
         }
         let path = self.folder.join(format!("{}_obstacles.vtp", self.name));
-        write_vtk(&path, obstacles_file(obstacles))
+        vtk::write(&path, obstacles_file(obstacles), vtk::FAST)
     }
 
     /// Writes the moving obstacles of the state's frame, and their series.
@@ -142,7 +141,11 @@ impl FrameWriter {
             return Ok(());
         };
         let file_name = moved_obstacles_file(&self.name, state.frame);
-        write_vtk(&self.folder.join(&file_name), obstacles_file(obstacles))?;
+        vtk::write(
+            &self.folder.join(&file_name),
+            obstacles_file(obstacles),
+            vtk::FAST,
+        )?;
         series.add(state.time, &file_name);
         series.write()
     }
@@ -212,15 +215,22 @@ impl FrameWriter {
         ] {
             if let (Some(series), Some(file)) = (series, file) {
                 let file_name = format!("{stem}.{extension}");
-                write_vtk(&folder.join(&file_name), file)?;
+                vtk::write(&folder.join(&file_name), file, vtk::FAST)?;
                 series.add(state.time, &file_name);
                 series.write()?;
             }
         }
         if let Some((series, surface)) = surface {
-            ply::write(&folder.join(format!("{stem}.ply")), &surface)?;
+            let mesh = PlyMesh {
+                vertices: &surface.mesh.vertices,
+                normals: &surface.mesh.normals,
+                velocity: Some(&surface.velocity),
+                texture: None,
+                triangles: &surface.mesh.triangles,
+            };
+            ply::write(&folder.join(format!("{stem}.ply")), &mesh)?;
             let file_name = format!("{name}_surface_{:06}.vtp", state.frame);
-            write_vtk(&folder.join(&file_name), surface_file(surface))?;
+            vtk::write(&folder.join(&file_name), surface_file(surface), vtk::FAST)?;
             series.add(state.time, &file_name);
             series.write()?;
         }
@@ -609,36 +619,6 @@ fn poly_data(piece: PolyDataPiece) -> DataSet {
         meta: None,
         pieces: vec![Piece::Inline(Box::new(piece))],
     }
-}
-
-fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
-    write_compressed(path, data, Compressor::None)
-}
-
-/// Serialises in memory first: vtkio's own export ignores errors of its last flush, so a full disk would leave half a file.
-pub(super) fn write_compressed(
-    path: &Path,
-    data: DataSet,
-    compressor: Compressor,
-) -> Result<(), Error> {
-    let vtk = Vtk {
-        version: Version::new_xml(1, 0),
-        title: String::new(),
-        byte_order: ByteOrder::LittleEndian,
-        data,
-        file_path: None,
-    };
-    // Level 9, the smallest.
-    let file = vtk
-        .try_into_xml_format(compressor, 9)
-        .map_err(|problem| Error::output(path, problem))?;
-    // vtkio omits NumberOfPoints = 0, which readers require of every piece without an extent.
-    let mut bytes = Vec::new();
-    file.write(&mut bytes)
-        .map_err(|problem| Error::output(path, problem))?;
-    let text = String::from_utf8(bytes).map_err(|problem| Error::output(path, problem))?;
-    let text = text.replacen("<Piece>", "<Piece NumberOfPoints=\"0\">", 1);
-    write_atomically(path, text.as_bytes())
 }
 
 /// A ParaView collection of files and their times, which vtkio lacks.

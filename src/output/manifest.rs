@@ -12,7 +12,7 @@ use super::frames::FrameKinds;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::SourceFlow;
+use crate::geometry::{SourceFlow, rest_from_file};
 use crate::scene::{Camera, CameraCut, CameraKeyframe, Probe, Scene, Surface, SurfaceMesh};
 
 /// Contents of manifest.json, written at the start, with each frame and at the end. Optional members are absent rather than
@@ -127,6 +127,9 @@ pub struct SolidRecord {
     pub file: Option<String>,
     /// SHA-256 of that file, in hexadecimal.
     pub sha256: Option<String>,
+    /// Map from its coordinates to rest positions, m: the linear part by columns, then the translation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub placed: Option<[[f64; 3]; 4]>,
 }
 
 /// Options of the run.
@@ -474,7 +477,9 @@ impl Manifest {
 
     /// Adds the meshes of the solids; hashes their mesh files.
     pub fn with_solids(mut self, scene: &Scene, solids: &Solids) -> Result<Manifest, Error> {
-        for (solid, body) in scene.solids.iter().zip(&solids.bodies) {
+        for (number, (solid, body)) in scene.solids.iter().zip(&solids.bodies).enumerate() {
+            let what = scene.at(&format!("solid[{number}]"));
+            let placed = rest_from_file(solid, &what)?;
             let file = solid.mesh.file();
             self.solids.push(SolidRecord {
                 name: body.name.clone(),
@@ -484,6 +489,7 @@ impl Manifest {
                 mass: solids.mass[body.nodes.clone()].iter().sum(),
                 file: file.map(|file| file_name(file)),
                 sha256: file.map(|file| hash(file)).transpose()?,
+                placed: Some(placed.map(|vector| vector.to_array())),
             });
         }
         Ok(self)

@@ -9,6 +9,7 @@
 //! DIR/frames/NAME_000042.vtu     solids                  NAME_solids.pvd    the same with times
 //! DIR/frames/NAME_000042.ply     the liquid's surface
 //! DIR/frames/NAME_surface_000042.vtp  the same         NAME_surface.pvd   the same with times
+//! DIR/frames/NAME_SOLID_000042.ply  skin of a solid   NAME_SOLID.glb     the same, animated
 //! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles at the start
 //! DIR/frames/NAME_obstacles_000042.vtp  moving obstacles NAME_obstacles.pvd  the same with times
 //! DIR/preview/NAME_000042.png    shaded pictures         NAME.png           the animation (APNG)
@@ -27,8 +28,10 @@ pub mod plot;
 mod ply;
 pub mod preview;
 pub mod report;
+pub mod skin;
 mod surface;
 pub mod tables;
+mod vtk;
 
 pub use atomic::{FolderLock, is_partial, write_atomically};
 pub use mesh::write_mesh;

@@ -1,22 +1,34 @@
-//! The liquid's surface as a binary little-endian PLY file.
+//! Surfaces as binary little-endian PLY files.
 
 use std::path::Path;
 
+use glam::Vec3;
 use ply_rs_bw::ply::{
     Addable, ElementDef, Encoding, Ply, PropertyAccess, PropertyDef, PropertyType, ScalarType,
 };
 use ply_rs_bw::writer::Writer;
 
 use super::atomic::write_atomically;
-use super::frames::MovingSurface;
 use crate::Error;
 
-/// Position (m), normal, velocity (m/s), with the names of Blender, MeshLab and trimesh.
-const VERTEX_PROPERTIES: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "vx", "vy", "vz"];
+/// A surface with data of its vertices.
+pub(super) struct PlyMesh<'a> {
+    /// m
+    pub(super) vertices: &'a [Vec3],
+    pub(super) normals: &'a [Vec3],
+    /// m/s
+    pub(super) velocity: Option<&'a [Vec3]>,
+    /// From the lower left corner.
+    pub(super) texture: Option<&'a [[f32; 2]]>,
+    pub(super) triangles: &'a [[u32; 3]],
+}
+
+/// Position (m), normal, velocity (m/s), texture coordinates, with the names of Blender, MeshLab and trimesh.
+const VERTEX_PROPERTIES: [&str; 11] = ["x", "y", "z", "nx", "ny", "nz", "vx", "vy", "vz", "s", "t"];
 const FACE_PROPERTY: &str = "vertex_indices";
 
 enum Element {
-    Vertex([f32; 9]),
+    Vertex([f32; 11]),
     Face([i32; 3]),
 }
 
@@ -41,28 +53,35 @@ impl PropertyAccess for Element {
     }
 }
 
-pub(super) fn write(path: &Path, surface: &MovingSurface) -> Result<(), Error> {
-    let mesh = &surface.mesh;
+pub(super) fn write(path: &Path, mesh: &PlyMesh) -> Result<(), Error> {
     let mut vertex = ElementDef::new("vertex".to_owned());
-    for name in VERTEX_PROPERTIES {
-        let kind = PropertyType::Scalar(ScalarType::Float);
-        vertex
-            .properties
-            .add(PropertyDef::new(name.to_owned(), kind));
+    for (place, name) in VERTEX_PROPERTIES.into_iter().enumerate() {
+        let absent = match place {
+            6..9 => mesh.velocity.is_none(),
+            9.. => mesh.texture.is_none(),
+            _ => false,
+        };
+        if !absent {
+            let kind = PropertyType::Scalar(ScalarType::Float);
+            vertex
+                .properties
+                .add(PropertyDef::new(name.to_owned(), kind));
+        }
     }
     let mut face = ElementDef::new("face".to_owned());
     let kind = PropertyType::List(ScalarType::UChar, ScalarType::Int);
     face.properties
         .add(PropertyDef::new(FACE_PROPERTY.to_owned(), kind));
-    let vertices = mesh
-        .vertices
-        .iter()
-        .zip(&mesh.normals)
-        .zip(&surface.velocity);
-    let vertices = vertices.map(|((x, normal), velocity)| {
-        let mut values = [0.0; 9];
-        for (part, vector) in values.chunks_exact_mut(3).zip([x, normal, velocity]) {
-            part.copy_from_slice(&vector.to_array());
+    let vertices = mesh.vertices.iter().zip(mesh.normals).enumerate();
+    let vertices = vertices.map(|(number, (x, normal))| {
+        let mut values = [0.0; 11];
+        values[0..3].copy_from_slice(&x.to_array());
+        values[3..6].copy_from_slice(&normal.to_array());
+        if let Some(velocity) = mesh.velocity {
+            values[6..9].copy_from_slice(&velocity[number].to_array());
+        }
+        if let Some(texture) = mesh.texture {
+            values[9..11].copy_from_slice(&texture[number]);
         }
         Element::Vertex(values)
     });

@@ -229,7 +229,7 @@ fn read_text(path: &Path) -> Result<String, Error> {
             refuse("is a folder, not a scene file", scenes_in(path))
         };
     }
-    if is_kind(&["obj", "stl", "ply", "msh", "vtu"]) {
+    if is_kind(&["obj", "stl", "ply", "glb", "gltf", "msh", "vtu"]) {
         let cure = "give a scene file (TOML) that names it: mesh = { file = .. }; `cutwater mesh` checks a mesh by itself";
         return refuse("is a mesh, not a scene", cure.to_owned());
     }

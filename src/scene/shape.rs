@@ -121,9 +121,9 @@ fn cuboid(place: Place) -> Result<Shape, Error> {
 /// The closed surface that a table names: its file and length unit, m.
 pub(super) fn surface_file(table: &Table, scene: &Path) -> Result<(MeshFile, f64), Error> {
     let place = table.required("file", "file = \"body.obj\", relative to the scene")?;
-    let kinds = ["obj", "stl", "ply"];
-    let what = "the name of an OBJ, STL or PLY file";
-    let cure = "use a closed triangle mesh as .obj, .stl or .ply";
+    let kinds = ["obj", "stl", "ply", "glb", "gltf"];
+    let what = "the name of an OBJ, STL, PLY or glTF file";
+    let cure = "use a closed triangle mesh as .obj, .stl, .ply or .glb";
     let file = mesh_file(&place, scene, &kinds, what, cure)?;
     Ok((file, unit(table)?))
 }

@@ -407,7 +407,10 @@ fn prepare_folder(out: &Path, earlier_run: Option<Manifest>) -> Result<(), Error
             let kind = Path::new(name).extension().and_then(|kind| kind.to_str());
             let rest = name.strip_prefix(&earlier.scene.name);
             rest.is_some_and(|rest| rest.starts_with(['_', '.']))
-                && matches!(kind, Some("vtp" | "vti" | "vtu" | "ply" | "pvd" | "png"))
+                && matches!(
+                    kind,
+                    Some("vtp" | "vti" | "vtu" | "ply" | "glb" | "pvd" | "png" | "gif")
+                )
         };
         for folder in ["frames", "preview"] {
             remove(&out.join(folder), &belongs)?;

@@ -204,7 +204,7 @@ fn mesh_names_all_kinds_of_files_that_it_takes() {
     for arguments in ["mesh dam.xyz", "mesh dam.xyz --cell-size 0.1"] {
         let message = complains(&folder, arguments, 2);
         let mut parts = vec!["dam.xyz: unknown kind of mesh file"];
-        parts.extend([".msh", ".vtu", ".obj", ".stl", ".ply"]);
+        parts.extend([".msh", ".vtu", ".obj", ".stl", ".ply", ".glb"]);
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
 }

@@ -851,7 +851,11 @@ fn broken_mesh_files_are_refused_with_the_place_and_the_cure() {
             &["face 1: vertex 99", "8"],
         ),
         ("ply", cut(4, 2), &["mesh.ply"]),
-        ("gltf", Vec::new(), &["unknown kind", ".obj, .stl or .ply"]),
+        (
+            "fbx",
+            Vec::new(),
+            &["unknown kind", ".obj, .stl, .ply, .glb or .gltf"],
+        ),
     ];
     for (extension, bytes, expected) in cases {
         let file = folder.path().join(format!("mesh.{extension}"));

@@ -61,6 +61,7 @@ mod scene;
 mod schema;
 mod separation;
 mod shaders;
+mod skin;
 mod solid_buffers;
 mod solid_case;
 mod solid_cases;

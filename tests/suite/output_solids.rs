@@ -41,11 +41,11 @@ young = 1e6
 poisson = 0.25
 ";
 
-struct Case {
+pub(crate) struct Case {
     scene: Scene,
-    solids: Solids,
+    pub(crate) solids: Solids,
     cut: CutCells,
-    state: State,
+    pub(crate) state: State,
 }
 
 impl Case {
@@ -54,7 +54,12 @@ impl Case {
     }
 
     fn of(text: &str) -> Case {
-        let mut scene = Scene::parse(Path::new("blocks.toml"), text, &[], 1.0).unwrap();
+        Case::in_folder(Path::new(""), text)
+    }
+
+    /// The scene blocks.toml of a folder.
+    pub(crate) fn in_folder(folder: &Path, text: &str) -> Case {
+        let mut scene = Scene::parse(&folder.join("blocks.toml"), text, &[], 1.0).unwrap();
         scene.camera = front_camera();
         let meshes = geometry::solid_meshes(&scene).unwrap();
         let solids = Solids::new(&scene, &meshes).unwrap();
@@ -73,22 +78,22 @@ impl Case {
     }
 
     /// Displaces the nodes of a body.
-    fn displace(&mut self, body: usize, by: impl Fn(DVec3) -> DVec3) {
+    pub(crate) fn displace(&mut self, body: usize, by: impl Fn(DVec3) -> DVec3) {
         for node in self.solids.bodies[body].nodes.clone() {
             self.state.displacement[node] = by(self.solids.rest[node]).to_array();
         }
     }
 
-    fn writer(&self, run: &Path) -> FrameWriter {
+    pub(crate) fn writer(&self, run: &Path) -> FrameWriter {
         let kinds = FrameKinds::of(&self.scene);
         FrameWriter::create(run, &self.scene.name, self.scene.grid(), kinds).unwrap()
     }
 
-    fn write(&self, writer: &mut FrameWriter) -> Result<(), Error> {
+    pub(crate) fn write(&self, writer: &mut FrameWriter) -> Result<(), Error> {
         writer.write(&self.state, &self.cut, &self.solids)
     }
 
-    fn manifest(&self) -> Manifest {
+    pub(crate) fn manifest(&self) -> Manifest {
         let options = RunOptions {
             backend: "cpu".into(),
             frames: 24,

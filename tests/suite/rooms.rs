@@ -52,7 +52,6 @@ const HOMES: &[(&str, &str)] = &[
     ("faer", "linalg"),
     ("parry3d_f64", "geometry"),
     ("spade", "geometry"),
-    ("flate2", "geometry"),
     ("toml", "scene"),
     ("vtkio", "output"),
     ("npyz", "output"),

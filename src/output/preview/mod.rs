@@ -390,7 +390,7 @@ fn round_length(length: f32) -> f32 {
         }
 }
 
-fn unreadable(path: &Path, problem: impl std::fmt::Display) -> Error {
+pub(super) fn unreadable(path: &Path, problem: impl std::fmt::Display) -> Error {
     Error::input(
         path.display().to_string(),
         problem.to_string(),
@@ -404,12 +404,12 @@ fn read_vtk(path: &Path) -> Result<DataSet, Error> {
         .map_err(|problem| unreadable(path, problem))
 }
 
-fn points(buffer: IOBuffer) -> Option<Vec<Vec3>> {
+pub(super) fn points(buffer: IOBuffer) -> Option<Vec<Vec3>> {
     let numbers: Vec<f32> = buffer.into_vec()?;
     Some(numbers.chunks_exact(3).map(Vec3::from_slice).collect())
 }
 
-fn array(attributes: &[Attribute], name: &str) -> Option<IOBuffer> {
+pub(super) fn array(attributes: &[Attribute], name: &str) -> Option<IOBuffer> {
     attributes.iter().find_map(|attribute| match attribute {
         Attribute::DataArray(array) if array.name == name => Some(array.data.clone()),
         _ => None,

@@ -1,0 +1,59 @@
+//! `cutwater skin`
+
+use std::path::PathBuf;
+
+use cutwater::Error;
+use cutwater::output::skin::skins;
+
+use super::bar::progress_bar;
+
+/// Write the solids of a run as surfaces that follow their tetrahedra, and its obstacles: .ply per frame, .glb with the animation
+#[derive(Debug, clap::Args)]
+pub(super) struct Skin {
+    /// Folder of the run
+    run: PathBuf,
+    /// Render mesh of a solid (.obj, .stl, .ply, .glb), in the units and axes of its mesh file; may be repeated. Default: the boundary of its tetrahedra
+    #[arg(long = "mesh", value_name = "SOLID=FILE", value_parser = pair)]
+    meshes: Vec<(String, PathBuf)>,
+}
+
+/// Vertices farther outside than this share of the solid's length may be those of another mesh.
+const FAR: f64 = 0.1;
+
+fn pair(text: &str) -> Result<(String, PathBuf), String> {
+    let (solid, file) = text
+        .split_once('=')
+        .ok_or_else(|| "write SOLID=FILE, such as crate=crate.obj".to_owned())?;
+    Ok((solid.to_owned(), PathBuf::from(file)))
+}
+
+impl Skin {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        super::ensure_run(&self.run, "skin")?;
+        let bar = progress_bar("{wide_bar} {pos}/{len}");
+        let reports = skins(&self.run, &self.meshes, &mut |done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        })?;
+        bar.finish_and_clear();
+        for report in reports {
+            let name = report.solid.as_deref().unwrap_or("obstacles");
+            say!(
+                "{name}: {} vertices, {} triangles, {} frames{}",
+                report.vertices,
+                report.triangles,
+                report.frames,
+                report
+                    .animation
+                    .map_or_else(String::new, |path| format!(", {}", path.display()))
+            );
+            if report.farthest > FAR * report.size {
+                warn!(
+                    "warning: the skin of {name} reaches {:.3} m out of its tetrahedra; is it in the units and axes of the solid's mesh file?",
+                    report.farthest
+                );
+            }
+        }
+        Ok(())
+    }
+}
