@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use cutwater::Error;
-use cutwater::output::skin::skins;
+use crate::Error;
+use crate::output::skin::skins;
 
 use super::bar::progress_bar;
 
