@@ -1,5 +1,6 @@
 //! Outputs of elastic solids: frames read back by an independent reader, tables, manifest, pictures.
 
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use cutwater::Error;
@@ -495,4 +496,94 @@ fn preview_of_solids_says_what_is_missing() {
     );
     std::fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
     assert!(tell(Colour::Solid).contains("blocks_000001.vtu"));
+}
+
+#[test]
+fn options_of_pictures_need_no_new_run() {
+    let run = tempfile::tempdir().unwrap();
+    Case::new().run(run.path());
+    let draw = |options: &PreviewOptions| preview(run.path(), options, &mut |_, _| true);
+    let small = PreviewOptions {
+        size: Some([160, 90]),
+        gif: true,
+        ..PreviewOptions::default()
+    };
+    let report = draw(&small).unwrap();
+    let scene = fs::read(&report.pictures[0]).unwrap();
+    // Two frames at 24 a second: 4.17 hundredths of a second each, 8 together.
+    let file = File::open(report.gif.unwrap()).unwrap();
+    let mut gif = gif::DecodeOptions::new().read_info(file).unwrap();
+    assert_eq!([gif.width(), gif.height()], [160, 90]);
+    let mut delays = Vec::new();
+    while let Some(frame) = gif.read_next_frame().unwrap() {
+        delays.push(frame.delay);
+    }
+    assert_eq!(delays, [4, 4]);
+    // From behind: the view changes, and only with options.
+    let behind = PreviewOptions {
+        eye: Some(DVec3::new(0.5, 0.25, -2.0)),
+        ..small
+    };
+    let pictures = draw(&behind).unwrap().pictures;
+    assert_ne!(fs::read(&pictures[0]).unwrap(), scene);
+    let pictures = draw(&small).unwrap().pictures;
+    assert_eq!(fs::read(&pictures[0]).unwrap(), scene);
+    let target = DVec3::new(0.5, 0.25, 0.25);
+    for (options, expected) in [
+        (
+            PreviewOptions {
+                eye: Some(target),
+                target: Some(target),
+                ..small
+            },
+            "the target itself",
+        ),
+        (
+            PreviewOptions {
+                eye: Some(target + DVec3::Y),
+                target: Some(target),
+                ..small
+            },
+            "looks along",
+        ),
+        (
+            PreviewOptions {
+                up: Some(DVec3::ZERO),
+                ..small
+            },
+            "no direction",
+        ),
+        (
+            PreviewOptions {
+                fov: Some(f64::NAN),
+                ..small
+            },
+            "field of view",
+        ),
+        (
+            PreviewOptions {
+                eye: Some(DVec3::INFINITY),
+                ..small
+            },
+            "not finite",
+        ),
+        (
+            PreviewOptions {
+                size: Some([8, 8]),
+                ..small
+            },
+            "8 x 8 pixels",
+        ),
+        (
+            PreviewOptions {
+                cut: Some(CameraCut { axis: 2, at: 0.5 }),
+                ..small
+            },
+            "outside the domain",
+        ),
+    ] {
+        let error = draw(&options).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains(expected), "{error}");
+    }
 }

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use glam::{Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use vtkio::Vtk;
 use vtkio::model::{Attribute, Attributes, DataSet, IOBuffer, Piece, VertexNumbers};
 
@@ -69,8 +69,20 @@ pub struct PreviewOptions {
     pub every: usize,
     /// Whether to write the animation too.
     pub animation: bool,
+    /// Whether to write it as GIF as well.
+    pub gif: bool,
     /// Quantity that colours elastic solids.
     pub colour: Colour,
+    /// Position of the camera, m; default the scene's. This, a target or a field of view put the camera to rest.
+    pub eye: Option<DVec3>,
+    /// Point in the middle of the picture, m.
+    pub target: Option<DVec3>,
+    /// Direction that is up in the picture.
+    pub up: Option<DVec3>,
+    /// Vertical field of view, degrees.
+    pub fov: Option<f64>,
+    /// Plane that cuts elastic solids open.
+    pub cut: Option<CameraCut>,
 }
 
 impl Default for PreviewOptions {
@@ -79,8 +91,80 @@ impl Default for PreviewOptions {
             size: None,
             every: 1,
             animation: true,
+            gif: false,
             colour: Colour::Solid,
+            eye: None,
+            target: None,
+            up: None,
+            fov: None,
+            cut: None,
         }
+    }
+}
+
+impl PreviewOptions {
+    /// The camera of the scene with the options.
+    fn camera(&self, manifest: &Manifest) -> Result<Camera, Error> {
+        let mut camera = Camera::from(&manifest.camera);
+        if self.eye.is_some() || self.target.is_some() || self.fov.is_some() {
+            camera.keyframes.clear();
+        }
+        camera.eye = self.eye.unwrap_or(camera.eye);
+        camera.target = self.target.unwrap_or(camera.target);
+        camera.up = self.up.unwrap_or(camera.up);
+        camera.fov = self.fov.unwrap_or(camera.fov);
+        camera.cut = self.cut.or(camera.cut);
+        let refuse =
+            |option: &str, problem: &str, cure: &str| Err(Error::input(option, problem, cure));
+        let numbers = [camera.eye, camera.target, camera.up];
+        if !numbers.iter().all(|x| {
+            x.is_finite()
+                && x.abs().max_element() <= 1e6 * vector(manifest.size).max_element() as f64
+        }) {
+            return refuse(
+                "camera",
+                "a coordinate is not finite, or far beyond the domain",
+                "give coordinates in m",
+            );
+        }
+        if !(camera.fov > 0.0 && camera.fov <= 150.0) {
+            return refuse(
+                "--camera-fov",
+                "is no field of view",
+                "give an angle of at most 150 degrees; 35 is usual",
+            );
+        }
+        let Some(up) = camera.up.try_normalize() else {
+            return refuse(
+                "--camera-up",
+                "has no direction",
+                "give the direction that is up in the picture, such as 0,1,0",
+            );
+        };
+        camera.up = up;
+        let given = self.eye.is_some() || self.target.is_some() || self.up.is_some();
+        let ahead = (camera.target - camera.eye).try_normalize();
+        if given && ahead.is_none() {
+            return refuse(
+                "--camera-eye",
+                "is the target itself",
+                "move it away from the target",
+            );
+        }
+        if given && ahead.is_some_and(|ahead| ahead.dot(up).abs() >= 1.0 - 1e-9) {
+            return refuse(
+                "--camera-eye",
+                "looks along the camera's up",
+                "move it, or give another direction with --camera-up",
+            );
+        }
+        if let Some(CameraCut { axis, at }) = self.cut
+            && !(at > 0.0 && at < manifest.size[axis])
+        {
+            let cure = format!("give a number between 0 and {}", manifest.size[axis]);
+            return refuse("--camera-cut", "lies outside the domain", &cure);
+        }
+        Ok(camera)
     }
 }
 
@@ -91,6 +175,8 @@ pub struct PreviewReport {
     pub pictures: Vec<PathBuf>,
     /// `DIR/preview/NAME.png`, an APNG: browsers play it.
     pub animation: Option<PathBuf>,
+    /// `DIR/preview/NAME.gif`, the same.
+    pub gif: Option<PathBuf>,
     /// Written frames with missing or incomplete files.
     pub missing: Vec<u64>,
 }
@@ -131,7 +217,7 @@ impl Pictures {
             return Err(Error::input(
                 run.display().to_string(),
                 "no frame has elastic solids to colour",
-                "draw it without --colour",
+                "draw it without --colour-by",
             ));
         }
         let solid_files = files.values().filter_map(|files| files.solids.as_deref());
@@ -141,11 +227,15 @@ impl Pictures {
             true => read_obstacles(&frames.join(format!("{name}_obstacles.vtp")))?,
             false => Vec::new(),
         });
-        let camera = Camera::from(&manifest.camera);
+        let camera = options.camera(&manifest)?;
         let size = options.size.unwrap_or(camera.size);
         if !size.iter().all(|side| PICTURE_SIDES.contains(side)) {
+            let what = match options.size {
+                Some(_) => "--size".to_owned(),
+                None => run.join("manifest.json").display().to_string(),
+            };
             return Err(Error::input(
-                run.join("manifest.json").display().to_string(),
+                what,
                 format!("pictures of {} x {} pixels", size[0], size[1]),
                 format!(
                     "sides have {} to {} pixels",
@@ -260,6 +350,7 @@ impl Pictures {
     pub fn finish(self) -> Result<PreviewReport, Error> {
         let name = &self.manifest.scene.name;
         let path = self.run.join("preview").join(format!("{name}.png"));
+        let gif = path.with_extension("gif");
         let animation = self.options.animation && !self.drawn.is_empty();
         if animation {
             let rate = self.manifest.frames_per_second;
@@ -270,6 +361,9 @@ impl Pictures {
             let seconds = seconds_shown(&numbers, rate);
             let shown: Vec<(PathBuf, f64)> = pictures.into_iter().zip(seconds).collect();
             picture::animate(&path, &shown)?;
+            if self.options.gif {
+                picture::animate_gif(&gif, &shown)?;
+            }
         }
         let mut missing = Manifest::read(&self.run)?.progress.frames_written;
         missing.retain(|frame| self.options.every == 1 && !self.drawn.contains_key(frame));
@@ -277,6 +371,7 @@ impl Pictures {
             missing,
             pictures: self.drawn.into_values().collect(),
             animation: animation.then_some(path),
+            gif: (animation && self.options.gif).then_some(gif),
         })
     }
 }
