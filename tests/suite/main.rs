@@ -80,6 +80,7 @@ mod tet_mesh;
 mod time_step;
 mod touching;
 mod traffic;
+mod tutorial;
 mod twin_advect_level;
 mod twin_advect_markers;
 mod twin_advect_velocity;
