@@ -280,7 +280,7 @@ fn effects_that_are_taken_away_leave_nothing() {
     if gpu().is_none() {
         return;
     }
-    let cases: [(&[&str], &[&str], &[&str]); 9] = [
+    let cases: [(&[&str], &[&str], &[&str]); 10] = [
         (
             &[POOL, "liquid.volume_control=false"],
             &[
