@@ -128,7 +128,7 @@ impl Solids {
             return Ok(());
         }
         let rotates = |frame: &Keyframe| frame.angle != 0.0;
-        let centre = match pin.region.centre() {
+        let centre = match pin.pivot.or(pin.region.centre()) {
             Some(centre) => centre,
             None if !pin.keyframes.iter().any(rotates) => DVec3::ZERO,
             None => {
@@ -211,7 +211,7 @@ impl Solids {
 
     /// Initial displacement (m) and velocity (m/s) of all nodes.
     ///
-    /// The body is stretched about the centroid of its rest shape, with the given velocity and spin. Constrained components
+    /// The body is stretched about the centroid of its rest shape, with the given velocity, spin and gradient. Constrained components
     /// have no velocity. Scripted components have the position and velocity of their script.
     pub fn initial_state(&self, scene: &Scene) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
         let n = self.rest.len();
@@ -222,7 +222,8 @@ impl Solids {
             for node in body.nodes.clone() {
                 let arm = self.rest[node] - centroid;
                 let u = (initial.scale - DVec3::ONE) * arm;
-                let v = initial.velocity + initial.spin.cross(arm + u);
+                let strained = initial.velocity_gradient.map(|row| row.dot(arm + u));
+                let v = initial.velocity + initial.spin.cross(arm + u) + DVec3::from(strained);
                 displacement[node] = u.to_array();
                 velocity[node] = std::array::from_fn(|axis| match self.prescribed[node][axis] {
                     true => 0.0,

@@ -108,6 +108,7 @@ impl BaseScene {
                 },
                 components: [true; 3],
                 keyframes: Vec::new(),
+                pivot: None,
             }],
             loads: Vec::new(),
         };

@@ -376,6 +376,8 @@ pub struct Initial {
     pub velocity: DVec3,
     /// Angular velocity about the centroid, rad/s; default 0.
     pub spin: DVec3,
+    /// Rows of a velocity gradient L about the centroid, 1/s: a node at x has L (x - centroid) more; default 0.
+    pub velocity_gradient: [DVec3; 3],
 }
 
 impl Default for Initial {
@@ -385,6 +387,7 @@ impl Default for Initial {
             scale: DVec3::ONE,
             velocity: DVec3::ZERO,
             spin: DVec3::ZERO,
+            velocity_gradient: [DVec3::ZERO; 3],
         }
     }
 }
@@ -407,6 +410,8 @@ pub struct Pin {
     pub components: [bool; 3],
     /// Keyframes of the nodes, ascending in time; empty for constrained nodes, which remain at rest.
     pub keyframes: Vec<Keyframe>,
+    /// Centre of the keyframes' rotation, m; `None` for the centre of the region.
+    pub pivot: Option<DVec3>,
 }
 
 /// Displacement of scripted nodes, or of an obstacle, at one time. Linear between keyframes, constant before the first and

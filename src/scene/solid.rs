@@ -15,6 +15,8 @@ use crate::error::Error;
 const MAX_CELLS: f64 = (1u64 << 22) as f64;
 /// Limit of moduli and tractions, Pa, and forces, N. Their squares are representable in single precision.
 const MAX_STRESS: f64 = 1e13;
+/// Limit of coordinates of a pivot, m.
+const MAX_PIVOT: f64 = 1e6;
 /// Limit of damping coefficients, 1/s and s.
 const MAX_DAMPING: f64 = 1e6;
 /// Rounding of the walls' positions, relative to the domain's longest side.
@@ -40,10 +42,11 @@ const BOX: Keys = Keys::new(&["size", "cells"]);
 const SPHERE: Keys = Keys::new(&["radius", "cell_size"]);
 const SHELL: Keys = Keys::new(&["radius", "thickness", "cell_size"]);
 const SURFACE: Keys = Keys::new(&["file", "units", "cell_size"]);
-const INITIAL: Keys = Keys::new(&["scale", "velocity", "spin"]);
+const INITIAL: Keys = Keys::new(&["scale", "velocity", "spin", "velocity_gradient"]);
+const VELOCITY_GRADIENT: Keys = Keys::new(&["x", "y", "z"]);
 const DAMPING: Keys = Keys::new(&["mass", "stiffness"]);
 const PIN: Keys = Keys::new(&["region", "components"]);
-const SCRIPT: Keys = Keys::new(&["region", "components", "keyframes"]);
+const SCRIPT: Keys = Keys::new(&["region", "components", "keyframes", "pivot"]);
 const LOAD: Keys = Keys::new(&["region", "force", "traction"]);
 /// Shapes that select nodes.
 const REGION_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "half_space"];
@@ -230,7 +233,23 @@ fn initial(place: Place) -> Result<Initial, Error> {
         })?,
         velocity: bounded("velocity", "a velocity in m/s")?,
         spin: bounded("spin", "an angular velocity in rad/s")?,
+        velocity_gradient: table.optional(
+            "velocity_gradient",
+            [DVec3::ZERO; 3],
+            velocity_gradient,
+        )?,
     })
+}
+
+/// Gradients of the three components of the velocity, 1/s.
+fn velocity_gradient(place: Place) -> Result<[DVec3; 3], Error> {
+    let table = place.table(&VELOCITY_GRADIENT)?;
+    let row = |key: &str| {
+        table.optional(key, DVec3::ZERO, |place| {
+            bounded(&place, "a gradient of velocity in 1/s", MAX_VELOCITY)
+        })
+    };
+    Ok([row("x")?, row("y")?, row("z")?])
 }
 
 /// Refuses a box, ball or shell that starts partly outside the domain: the walls would accelerate its nodes inwards.
@@ -340,6 +359,7 @@ fn pin(place: Place, file: &Path) -> Result<Pin, Error> {
         region: node_region(&table, file)?,
         components: components(&table)?,
         keyframes: Vec::new(),
+        pivot: None,
     })
 }
 
@@ -349,6 +369,10 @@ fn script(place: Place, file: &Path) -> Result<Pin, Error> {
         region: region(&table, &SCRIPT_SHAPES, &SCRIPT_REGION, file)?,
         components: components(&table)?,
         keyframes: keyframes(&table)?,
+        pivot: table
+            .get("pivot")
+            .map(|place| bounded(&place, "the centre of rotation in m", MAX_PIVOT))
+            .transpose()?,
     })
 }
 

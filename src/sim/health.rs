@@ -226,7 +226,9 @@ fn expected_speed(scene: &Scene) -> Option<f64> {
             true => (solid.young / solid.density).sqrt(),
             false => 0.0,
         };
-        initial.velocity.length() + initial.spin.length() * size.length() + scripts + elastic
+        let rows = initial.velocity_gradient.iter().map(|row| row.length());
+        let gradient = initial.spin.length() + rows.sum::<f64>();
+        initial.velocity.length() + gradient * size.length() + scripts + elastic
     }));
     let speed = fall + liquid + sources + obstacles + solids;
     (speed > 0.0).then_some(speed)

@@ -356,6 +356,7 @@ fn pin(region: Shape, components: [bool; 3], keyframes: Vec<Keyframe>) -> Pin {
         region,
         components,
         keyframes,
+        pivot: None,
     }
 }
 
@@ -510,6 +511,9 @@ fn bodies_start_as_their_scene_says() {
     solid.initial.scale = DVec3::new(0.5, -1.0, 1.0);
     solid.initial.velocity = DVec3::new(1.0, 2.0, 3.0);
     solid.initial.spin = DVec3::new(0.0, 0.0, 2.0);
+    // A shear and a stretch.
+    solid.initial.velocity_gradient[0].y = 0.75;
+    solid.initial.velocity_gradient[2].z = -4.0;
     solid.pins = vec![pin(
         cuboid([0.0; 3], [0.0, 1.0, 1.0]),
         [true, false, false],
@@ -523,11 +527,37 @@ fn bodies_start_as_their_scene_says() {
         let x = middle + DVec3::new(0.5, -1.0, 1.0) * (rest - middle);
         assert!((rest + DVec3::from(u[node])).distance(x) < 1e-15);
         let spin = DVec3::new(-2.0 * (x.y - 0.5), 2.0 * (x.x - 0.5), 0.0);
-        let mut exact = DVec3::new(1.0, 2.0, 3.0) + spin;
+        let strained = DVec3::new(0.75 * (x.y - 0.5), 0.0, -4.0 * (x.z - 0.5));
+        let mut exact = DVec3::new(1.0, 2.0, 3.0) + spin + strained;
         if rest.x == 0.0 {
             exact.x = 0.0;
         }
         assert!(DVec3::from(v[node]).distance(exact) < 1e-14);
+    }
+}
+
+#[test]
+fn scripted_nodes_turn_about_their_pivot() {
+    let frame = |time, angle| Keyframe {
+        time,
+        translate: DVec3::ZERO,
+        axis: DVec3::Z,
+        angle,
+    };
+    let quarter = 0.5 * std::f64::consts::PI;
+    let pivot = DVec3::new(2.0, -1.0, 0.0);
+    let mut solid = block([1.0; 3], [1, 1, 1]);
+    let keyframes = vec![frame(0.0, 0.0), frame(1.0, quarter)];
+    solid.pins = vec![Pin {
+        pivot: Some(pivot),
+        ..pin(cuboid([0.0; 3], [1.0; 3]), [true; 3], keyframes)
+    }];
+    let solids = solids_of(&scene_of(vec![solid]));
+    for &rest in &solids.rest {
+        let arm = rest - pivot;
+        let turned = pivot + DVec3::new(-arm.y, arm.x, arm.z);
+        let found = rest + solids.scripts[0].displacement(rest, 1.0);
+        assert!(found.distance(turned) < 1e-14, "{found} of {turned}");
     }
 }
 

@@ -24,6 +24,7 @@ pub(crate) fn held(region: Shape, components: [bool; 3]) -> Pin {
         region,
         components,
         keyframes: Vec::new(),
+        pivot: None,
     }
 }
 

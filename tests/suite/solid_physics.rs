@@ -601,6 +601,7 @@ fn a_scripted_end_takes_the_beam_along() {
             region: end,
             components: [true; 3],
             keyframes: vec![frame(0.0, 0.0, 0.0), frame(0.25, 0.2, 1.5)],
+            pivot: None,
         },
     ];
     solid.mass_damping = 5.0;
@@ -648,6 +649,7 @@ fn a_script_may_be_faster_than_the_first_step() {
         region: region([1.8, 1.8, 1.8], [1.8, 2.2, 2.2]),
         components: [true, false, true],
         keyframes: vec![frame(0.0, 0.0), frame(0.002, 0.02), frame(0.1, 0.03)],
+        pivot: None,
     }];
     let mut scene = scene_of(vec![solid]);
     let dt = 1.0 / 96.0;
