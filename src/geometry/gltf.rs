@@ -152,7 +152,7 @@ fn push(
             .collect(),
         None => (0..n as u32).collect(),
     };
-    if corners.len() % 3 != 0 || corners.iter().any(|&corner| corner as usize >= n) {
+    if !corners.len().is_multiple_of(3) || corners.iter().any(|&corner| corner as usize >= n) {
         return Err(incomplete("triangles"));
     }
     // A mirrored node turns the triangles round.

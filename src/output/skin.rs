@@ -265,7 +265,7 @@ impl Skin {
         let [low, high] = bounds(used);
         let embedding = Embedding::new(&tets, &mesh.vertices);
         let size = (high - low).max_element();
-        if let Some(file) = file.filter(|_| !(embedding.farthest <= 0.5 * size)) {
+        if let Some(file) = file.filter(|_| embedding.farthest > 0.5 * size) {
             let problem = format!(
                 "the mesh reaches {:.3} m out of solid number {solid}, which is {size:.3} m long",
                 embedding.farthest

@@ -75,11 +75,12 @@ impl Simulation {
             let cure = "give the solid a [[solid.script]] in the scene; one keyframe is enough";
             return Err(Error::input(name, "the scene has no such script", cure));
         };
-        if pin.region.centre().is_none() && keyframes.iter().any(|frame| frame.angle != 0.0) {
+        let centre = pin.pivot.or(pin.region.centre());
+        if centre.is_none() && keyframes.iter().any(|frame| frame.angle != 0.0) {
             return Err(Error::input(
                 name,
                 "rotates its nodes about the centre of its region, which has none",
-                "use a box, sphere or cylinder, or remove the rotation",
+                "give the script a pivot in the scene, or remove the rotation",
             ));
         }
         ensure_continuous(&self.scene, &name, time, [&pin.keyframes, &keyframes])?;

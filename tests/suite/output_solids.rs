@@ -277,7 +277,7 @@ fn tables_of_solids_read_back_exactly() {
         });
         assert!(error.unwrap_err().to_string().contains("inverted"));
         table.flush().unwrap();
-        let text = std::fs::read_to_string(run.path().join("steps.csv")).unwrap();
+        let text = fs::read_to_string(run.path().join("steps.csv")).unwrap();
         let [head, values] = text.lines().collect::<Vec<_>>()[..] else {
             panic!("{text}")
         };
@@ -487,14 +487,14 @@ fn preview_of_solids_says_what_is_missing() {
     case.scene.output.solids = true;
     case.run(run.path());
     let broken = run.path().join("frames/blocks_000001.vtu");
-    let whole = std::fs::read_to_string(&broken).unwrap();
-    std::fs::write(&broken, whole.replace("von_mises", "stress")).unwrap();
+    let whole = fs::read_to_string(&broken).unwrap();
+    fs::write(&broken, whole.replace("von_mises", "stress")).unwrap();
     let error = tell(Colour::Stress);
     assert!(
         error.contains("blocks_000001.vtu") && error.contains("no von_mises"),
         "{error}"
     );
-    std::fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
+    fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
     assert!(tell(Colour::Solid).contains("blocks_000001.vtu"));
 }
 

@@ -49,6 +49,7 @@ fn half(min: [f64; 3], max: [f64; 3], components: [bool; 3]) -> Pin {
         region,
         components,
         keyframes: Vec::new(),
+        pivot: None,
     }
 }
 
