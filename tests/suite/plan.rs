@@ -537,8 +537,8 @@ fn ways_in_and_out_and_motion_take_nothing_where_they_are_absent() {
             "motion",
             text("", keyframes),
             false,
-            &["obstacle_flux", "take_up"],
-            &["clip.fluxes", "liquid.obstacle_flux"],
+            &["moving_contacts", "obstacle_flux", "take_up"],
+            &["clip.fluxes", "liquid.obstacle_flux", "solid.obstacle_"],
         ),
     ] {
         let (with_kernels, with_labels) = of(&text, open);

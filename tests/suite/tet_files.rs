@@ -106,12 +106,12 @@ fn written_meshes_are_read_back_to_the_bit() {
     let bricks = |cells: [usize; 3], size: DVec3| {
         TetMesh::new(&body(SolidMesh::Box { size, cells }), "test").unwrap()
     };
-    // The third has 3072 elements, so arrays of whole blocks: it is not compressed.
-    for (cells, compressed) in [([1, 1, 1], true), ([3, 5, 2], true), ([8, 8, 8], false)] {
+    // The third has 3072 elements: its arrays are whole multiples of 4 KiB.
+    for cells in [[1, 1, 1], [3, 5, 2], [8, 8, 8]] {
         let mesh = bricks(cells, DVec3::new(0.1, 1.0 / 3.0, 7e-5));
         write_mesh(&file, &mesh).unwrap();
         let head = fs::read_to_string(&file).unwrap()[..300].to_owned();
-        assert_eq!(head.contains("ZLib"), compressed, "{head}");
+        assert!(head.contains("ZLib"), "{head}");
         let read = read_tets(&file).unwrap();
         assert_eq!(read.mesh, mesh, "{cells:?}");
         assert!(read.notes.is_empty(), "{:?}", read.notes);
