@@ -48,7 +48,7 @@ pub(crate) fn plan(
         let adapter = match &backend {
             Backend::Cpu => None,
             Backend::Gpu(choice) => {
-                sim::check_separation(&scene)?;
+                sim::check_kernels(&scene)?;
                 match Gpu::find(choice) {
                     Ok(adapter) => Some(adapter),
                     // A named adapter must exist; otherwise a plan needs none.
