@@ -99,7 +99,7 @@ impl Solids {
     /// - Solid: centre of mass, m; sum of V det F over sum of V, negative for inverted elements.
     /// - Solid velocity: velocity of the centre of mass, m/s.
     /// - Force: sum over the nodes, N.
-    /// - Reaction: see [`Solids::reaction`].
+    /// - Reaction: force of pins and scripts, N, from the equation of motion of the nodes.
     pub fn probe(&self, scene: &Scene, number: usize, nodes: &NodeReadback) -> Vec<f64> {
         let NodeReadback {
             displacement,

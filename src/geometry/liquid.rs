@@ -173,7 +173,7 @@ impl LiquidSurface {
     /// Signed distance at a point, m, negative in the liquid.
     ///
     /// The regions' own distance for a single region, or with air behind the nearest point of the surface. Otherwise the
-    /// depth below the free surface along [`DIRECTIONS`], exact for axis-aligned surfaces and to about 2 % for others.
+    /// depth below the free surface along many directions, exact for axis-aligned surfaces and to about 2 % for others.
     pub fn distance(&self, x: DVec3) -> f64 {
         let own = self.regions.distance(x);
         let parts = &self.regions.parts;

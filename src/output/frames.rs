@@ -1,7 +1,7 @@
 //! Frame files in VTK's XML formats with a `.pvd` series per kind: VTP markers, VTI cell fields, VTU solids, VTP obstacles and
 //! VTP liquid surfaces, which are written as PLY too.
 //!
-//! Data are f32, little endian, compressed ([`vtk`]).
+//! Data are f32, little endian, compressed by zlib.
 
 use std::path::{Path, PathBuf};
 
