@@ -1,17 +1,19 @@
 // excess, last: e from the smoothed numbers, in liquid of components with a surface, less a dead band. One thread per quad
 // of the band.
 // band_args, band_list: the band. component: labels. component_sums: volumes, with the mark of a surface.
-// liquid_distance: m. density_now: (F - 1) w and w, smoothed. excess: e; out.
+// liquid_distance: m. density_now: (F - 1) w and w, smoothed. excess: e; out. level_step: parameters of the sub-step.
 #import component_sums
+#import controlled_part
 #import dispatch
 
-@group(0) @binding(0) var<storage, read> band_args: array<u32>;
-@group(0) @binding(1) var<storage, read> band_list: array<u32>;
-@group(0) @binding(2) var<storage, read> component: array<vec4<u32>>;
-@group(0) @binding(3) var<storage, read> component_sums: array<vec2<u32>>;
-@group(0) @binding(4) var<storage, read> liquid_distance: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> density_now: array<vec2<f32>>;
-@group(0) @binding(6) var<storage, read_write> excess: array<vec4<f32>>;
+@group(0) @binding(0) var<uniform> level_step: LevelStep;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
+@group(0) @binding(3) var<storage, read> component: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read> component_sums: array<vec2<u32>>;
+@group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> density_now: array<vec2<f32>>;
+@group(0) @binding(7) var<storage, read_write> excess: array<vec4<f32>>;
 
 // The constants of reference/excess.rs.
 const LEAST_WEIGHT = 0.05;
@@ -33,7 +35,7 @@ fn limit_excess(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
             continue;
         }
         let mean = density.x / density.y;
-        e[l] = sign(mean) * max(abs(mean) - DEAD_BAND, 0.0);
+        e[l] = controlled_part(volume_of(component_sums[label[l]])) * sign(mean) * max(abs(mean) - DEAD_BAND, 0.0);
     }
     excess[quad] = e;
 }

@@ -9,7 +9,8 @@ struct LevelStep {
     motion: f32,
     // Slots freed after seeds filled all of them, for the rest of the seeds; else 0.
     freed: u32,
+    // Volume that sources renew (reference/level_exchange.rs), volumes of a cell; 0 without.
+    renewed: f32,
     pad_0: u32,
     pad_1: u32,
-    pad_2: u32,
 }

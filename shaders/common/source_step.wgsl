@@ -16,6 +16,9 @@ struct SourceStep {
 // Markers of a full cell, one in each eighth.
 const PER_CELL = 8u;
 
+// With a level, most markers that a cell receives in a sub-step: cells of the lattice that meet it.
+const MOST_SITES = 27u;
+
 // Word of a source cell: the source in the low byte, the eighths to fill in the next (bit i + 2 j + 4 k for the upper
 // half along x, y, z).
 fn source_of(word: u32) -> u32 {

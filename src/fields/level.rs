@@ -22,12 +22,12 @@ pub struct LevelStep {
     pub motion: f32,
     /// Slots freed after seeds filled all of them, for the rest of the seeds; else 0.
     pub freed: u32,
+    /// Volume that sources renew ([`renewed_volume`](crate::reference::renewed_volume)), volumes of a cell; 0 without.
+    pub renewed: f32,
     /// Unused.
     pub pad_0: u32,
     /// Unused.
     pub pad_1: u32,
-    /// Unused.
-    pub pad_2: u32,
 }
 
 /// Words of the numbers of markers (`common/marker_counts.wgsl`).
@@ -130,23 +130,24 @@ impl LevelBuffers {
         level.then(new).transpose()
     }
 
-    /// Writes seed, number and motion of a sub-step.
-    pub fn write_step(&self, gpu: &Gpu, numbers: [u32; 2], motion: f64) {
-        self.write(gpu, numbers, motion as f32, 0);
+    /// Writes seed, number and motion of a sub-step, and the volume that sources renew, volumes of a cell.
+    pub fn write_step(&self, gpu: &Gpu, numbers: [u32; 2], motion: f64, renewed: f64) {
+        self.write(gpu, numbers, [motion, renewed], 0);
     }
 
     /// Writes the slots freed after seeds filled all of them, with seed and number of the sub-step.
     pub fn write_freed(&self, gpu: &Gpu, numbers: [u32; 2], freed: usize) {
-        self.write(gpu, numbers, 0.0, freed as u32);
+        self.write(gpu, numbers, [0.0; 2], freed as u32);
     }
 
-    fn write(&self, gpu: &Gpu, [seed, number]: [u32; 2], motion: f32, freed: u32) {
+    fn write(&self, gpu: &Gpu, [seed, number]: [u32; 2], [motion, renewed]: [f64; 2], freed: u32) {
         let step = LevelStep {
             seed,
             number,
             capacity: self.plan.n_markers as u32,
-            motion,
+            motion: motion as f32,
             freed,
+            renewed: renewed as f32,
             ..LevelStep::default()
         };
         gpu.upload(&self.level_step, &[step]);

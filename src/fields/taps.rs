@@ -2,7 +2,9 @@
 
 use crate::Error;
 use crate::arrays;
-use crate::geometry::{MARKERS_PER_CELL, Running, SourceFace, SourcesAndSinks};
+use crate::geometry::{
+    Lattice, MARKERS_PER_CELL, MOST_SITES, Running, SourceFace, SourcesAndSinks,
+};
 use crate::gpu::Gpu;
 use crate::grid::Grid;
 
@@ -199,6 +201,7 @@ arrays! {
         sizes {
             n_regions: usize,
             n_words: usize,
+            n_lattices: usize,
         }
         arrays {
             /// Parameters of the sub-step.
@@ -209,7 +212,9 @@ arrays! {
             array map: u32 [n_words],
             /// Source cells: i, j, k, and the source with bits of the eighths to seed.
             array cells: [u32; 4] [n_cells],
-            /// Markers per source cell, then the first new slot of each.
+            /// With a level: the lattice of each source ([`Lattice`]), its displacement in whole octants, the rest, and that of the sub-step.
+            array lattices: [[i32; 4]; 3] [n_lattices] if n_lattices > 0,
+            /// Markers per source cell, with a level new ones, then the first new slot of each.
             pub(crate) array counts: u32 [n_cells],
             /// Faces with prescribed flux.
             array faces: DeviceSourceFace [n_faces],
@@ -246,7 +251,12 @@ impl Sources {
             .map(|face| DeviceSourceFace::new(grid, face));
         let (regions, map) = source_boxes(grid, taps);
         let (n_cells, n_faces) = (taps.source_cells.len(), taps.faces.len());
-        let sources = Sources::allocate(gpu, n_cells, n_faces, regions.len(), map.len())?;
+        let n_lattices = match liquid.plan.effects.level {
+            true => taps.n_sources(),
+            false => 0,
+        };
+        let sources =
+            Sources::allocate(gpu, n_cells, n_faces, regions.len(), map.len(), n_lattices)?;
         gpu.upload(&sources.regions, &regions);
         gpu.upload(&sources.map, &map);
         gpu.upload(&sources.cells, &cells.collect::<Vec<_>>());
@@ -261,11 +271,19 @@ impl Sources {
 
     /// Slots that a sub-step reserves for new markers.
     pub fn slots(&self) -> usize {
-        MARKERS_PER_CELL * self.n_cells
+        match self.lattices {
+            Some(_) => MOST_SITES * self.n_cells,
+            None => MARKERS_PER_CELL * self.n_cells,
+        }
     }
 
-    /// Writes the parameters of a sub-step.
-    pub fn write_step(&self, gpu: &Gpu, step: SourceStep) {
+    /// Writes the parameters of a sub-step. `lattices`: of each source, with a level.
+    pub fn write_step(&self, gpu: &Gpu, step: SourceStep, lattices: &[Lattice]) {
         gpu.upload(&self.source_step, &[step]);
+        if let Some(array) = &self.lattices {
+            let words = |[x, y, z]: [i32; 3]| [x, y, z, 0];
+            let lattice = |of: &Lattice| [of.whole, of.rest, of.moved].map(words);
+            gpu.upload(array, &lattices.iter().map(lattice).collect::<Vec<_>>());
+        }
     }
 }

@@ -63,7 +63,8 @@ pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
 pub use render_mesh::{RenderMesh, read_render_mesh};
 pub use solid_clip::{MovedMesh, MovingWall, Nearest, Overlap, SolidClip};
 pub use sources_sinks::{
-    Fill, MARKERS_PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, SourcesAndSinks,
+    Fill, Lattice, MARKERS_PER_CELL, MOST_SITES, OCTANT_UNITS, PrescribedFace, Running, SourceFace,
+    SourceFlow, SourcesAndSinks,
 };
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;

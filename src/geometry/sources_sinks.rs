@@ -110,6 +110,25 @@ pub struct Fill {
     pub side: bool,
 }
 
+/// Largest number of markers that a source emits in a cell in a sub-step, with a level: cells of its lattice, as large as octants,
+/// that meet a cell.
+pub const MOST_SITES: usize = 27;
+
+/// Units of the edge of an octant in which [`Lattice`] counts.
+pub const OCTANT_UNITS: i64 = 1 << 16;
+
+/// Lattice of the sites of a source in a sub-step, which moves with its velocity: one marker per cell of the lattice, which is as
+/// large as an octant. Integers, so that all backends emit the same markers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lattice {
+    /// Displacement since the source started, at the end of the sub-step: whole octants, rounded down.
+    pub whole: [i32; 3],
+    /// Rest of it, units.
+    pub rest: [i32; 3],
+    /// Displacement in the sub-step, units.
+    pub moved: [i32; 3],
+}
+
 /// Activity of the sources in one sub-step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Running {
@@ -319,6 +338,40 @@ impl SourcesAndSinks {
         }
     }
 
+    /// Whether a source fills an octant (twice the resolution of the cells) with markers.
+    pub fn fills_octant(&self, grid: &Grid, source: u32, octant: [i64; 3]) -> bool {
+        let at = octant.map(|n| n.div_euclid(2));
+        let inside = (0..3).all(|a| (0..grid.cells[a] as i64).contains(&at[a]));
+        let cell = |at: [i64; 3]| grid.cell(at.map(|n| n as usize));
+        let found = inside.then(|| self.source_cells.binary_search(&(cell(at), source)));
+        found.and_then(Result::ok).is_some_and(|found| {
+            let bit: usize = (0..3)
+                .map(|a| (octant[a].rem_euclid(2) as usize) << a)
+                .sum();
+            self.eighths[found] >> bit & 1 == 1
+        })
+    }
+
+    /// Lattice of each source in the sub-step of dt (s) after a time (s).
+    pub fn lattices(&self, grid: &Grid, time: f64, dt: f64) -> Vec<Lattice> {
+        let lattice = |source: &SourceState| {
+            // Counted from the start, so that one sub-step ends where the next begins.
+            let units = |time: f64| {
+                let octants = (time - source.start) * source.velocity / (0.5 * grid.dx);
+                (octants * OCTANT_UNITS as f64)
+                    .to_array()
+                    .map(|x| x.round() as i64)
+            };
+            let (before, after) = (units(time), units(time + dt));
+            Lattice {
+                whole: after.map(|x| x.div_euclid(OCTANT_UNITS) as i32),
+                rest: after.map(|x| x.rem_euclid(OCTANT_UNITS) as i32),
+                moved: std::array::from_fn(|a| (after[a] - before[a]) as i32),
+            }
+        };
+        self.sources.iter().map(lattice).collect()
+    }
+
     /// Volume flux out of a set of sources, m^3/s.
     pub fn flux(&self, running: u32) -> f64 {
         let faces = self.faces.iter();
@@ -420,14 +473,16 @@ impl SourcesAndSinks {
             .fold(0.0, f64::max)
     }
 
-    /// Upper bound of the markers emitted up to a time (s): the initial filling and 1.25 times the flux.
-    pub fn max_markers(&self, duration: f64, grid: &Grid) -> usize {
+    /// Upper bound of the markers emitted up to a time (s): the initial filling, the slots of a sub-step and 1.25 times the flux.
+    pub fn max_markers(&self, level: bool, duration: f64, grid: &Grid) -> usize {
         let flux = (0..self.sources.len()).map(|number| {
             let SourceState { start, end, .. } = self.sources[number];
             self.flux(1 << number) * (end.min(duration) - start).max(0.0)
         });
         let flowed = 1.25 * flux.sum::<f64>() / grid.cell_volume();
-        MARKERS_PER_CELL * (2 * self.source_cells.len() + flowed.ceil() as usize)
+        let slots = if level { MOST_SITES } else { MARKERS_PER_CELL };
+        (MARKERS_PER_CELL + slots) * self.source_cells.len()
+            + MARKERS_PER_CELL * flowed.ceil() as usize
     }
 
     /// Apertures for the pressure: faces with a prescribed velocity are closed.

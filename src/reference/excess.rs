@@ -8,9 +8,10 @@
 //! markers count, whose noise would drive waves. |e| is reduced by a dead band of 0.06, several deviations of the noise of
 //! jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt)
 //! for it. Markers that flow together in a splash so expand where they are. Enclosed components have no source, which
-//! their walls would not let out.
+//! their walls would not let out; liquid that leaves soon has a part of it (`level_exchange`).
 
 use super::level_cells::LevelCells;
+use super::level_exchange::controlled_part;
 use super::liquid_components::Components;
 use super::occupancy::UNKNOWN;
 use super::right_hand_side::RightHandSide;
@@ -24,10 +25,11 @@ const DEAD_BAND: f64 = 0.06;
 /// Time in which an excess expands, in times of control and in sub-steps.
 const TIMES: [f64; 2] = [2.5, 1.5];
 
-/// e per cell. `level` in cells.
+/// e per cell. `renewed`: see [`renewed_volume`](super::renewed_volume), m^3; `level` in cells.
 pub fn excess(
     cells: LevelCells,
     components: &Components,
+    renewed: f64,
     occupancy: &[f64],
     level: &[f64],
 ) -> Vec<f64> {
@@ -48,7 +50,8 @@ pub fn excess(
             return 0.0;
         }
         let e = density[cell] / weight[cell];
-        e.signum() * (e.abs() - DEAD_BAND).max(0.0)
+        let part = controlled_part(components.volume[label as usize - 1], renewed);
+        part * e.signum() * (e.abs() - DEAD_BAND).max(0.0)
     };
     all().map(excess).collect()
 }

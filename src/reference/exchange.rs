@@ -5,13 +5,17 @@
 //! scene's seed, the number of the sub-step, the cell and the marker's number. Runs therefore repeat and resume bit
 //! for bit.
 //!
+//! With a level the markers of a source are the sites of a lattice that moves with its velocity ([`Lattice`]), one in each cell of
+//! the lattice at a hashed place. A sub-step emits those that come into the octants to fill. So the density of the markers is
+//! exact at any length of the sub-steps: refilling would emit more the more often it is done.
+//!
 //! Cells with their centre in a body receive none: `advect_markers` would push them out and the cell would refill in
 //! every sub-step. In cells that a body covers less, almost all markers pushed out stay in the cell.
 
 use glam::DVec3;
 
 use super::advect_markers::volume_without;
-use crate::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks};
+use crate::geometry::{Lattice, MARKERS_PER_CELL, OCTANT_UNITS, Running, SourcesAndSinks};
 use crate::grid::Grid;
 use crate::state::Exchange;
 
@@ -80,6 +84,55 @@ pub fn seed_markers(
         seeded.emitted += lacks;
     }
     seeded
+}
+
+/// Appends the markers (m) that sources emit with a level; `lattices`: per source. Returns their number.
+pub fn emit_markers(
+    grid: &Grid,
+    taps: &SourcesAndSinks,
+    sources: Running,
+    lattices: &[Lattice],
+    solid_distance: &[f64],
+    markers: &mut Vec<[f64; 3]>,
+) -> u64 {
+    let before = markers.len();
+    for (&(cell, source), &eighths) in taps.source_cells.iter().zip(&taps.eighths) {
+        if sources.running >> source & 1 == 0 || solid_distance[cell] < 0.0 {
+            continue;
+        }
+        let starts = sources.starting >> source & 1 == 1;
+        let lattice = &lattices[source as usize];
+        for eighth in (0..MARKERS_PER_CELL).filter(|eighth| eighths >> eighth & 1 == 1) {
+            let at = grid.cell_at(cell);
+            let octant = [0, 1, 2].map(|a| (2 * at[a] + (eighth >> a & 1)) as i64);
+            // Up to eight cells of the lattice meet an octant.
+            for corner in 0..8 {
+                let site = site(sources.seed, lattice, octant, corner);
+                let within = |x: &i64| (0..OCTANT_UNITS).contains(x);
+                let origin: [i64; 3] = std::array::from_fn(|a| {
+                    octant[a] + (site[a] - i64::from(lattice.moved[a])).div_euclid(OCTANT_UNITS)
+                });
+                if site.iter().all(within) && (starts || !taps.fills_octant(grid, source, origin)) {
+                    let place = |a: usize| octant[a] as f64 + site[a] as f64 / OCTANT_UNITS as f64;
+                    markers.push([0, 1, 2].map(|a| 0.5 * grid.dx * place(a)));
+                }
+            }
+        }
+    }
+    (markers.len() - before) as u64
+}
+
+/// Site in one of the cells of a lattice that may meet an octant, relative to its low corner, units.
+fn site(seed: u32, lattice: &Lattice, octant: [i64; 3], corner: usize) -> [i64; 3] {
+    let below = [0, 1, 2].map(|a| (corner >> a & 1) as i64);
+    let of_cell = (0..3).fold(scatter(seed), |bits, a| {
+        scatter(bits ^ (octant[a] - i64::from(lattice.whole[a]) - below[a]) as u32)
+    });
+    let mut bits = of_cell;
+    [0, 1, 2].map(|a| {
+        bits = scatter(bits);
+        i64::from(lattice.rest[a]) - OCTANT_UNITS * below[a] + i64::from(bits >> 16)
+    })
 }
 
 /// Position of marker `number` in a cell with `count` markers in its eighths, m.

@@ -72,8 +72,8 @@ pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_
 pub use diagnose_solid::diagnose_solid;
 pub use excess::{add_excess, excess};
 pub use exchange::{
-    Passed, Seeded, carry_faces, empty_sinks, exchanged_volume, hold_faces, seed_markers,
-    sink_markers,
+    Passed, Seeded, carry_faces, emit_markers, empty_sinks, exchanged_volume, hold_faces,
+    seed_markers, sink_markers,
 };
 pub use extrapolate::{
     MovingWalls, extrapolate, extrapolate_one_sided, extrapolate_with_slope, n_layers,
@@ -83,8 +83,8 @@ pub use forces::forces;
 pub use landing::{face_mass, land, landing_faces, take_landing};
 pub use level_cells::{BAND, LevelCells, REACH, filled, filled_distance, interpolant_part};
 pub use level_exchange::{
-    CellVolume, add_sources, closed_to_markers, empty_level_sinks, fill_sources, limit_targets,
-    outflow, remove_volumes, sunk_volumes,
+    CellVolume, add_sources, closed_to_markers, controlled_part, empty_level_sinks, fill_sources,
+    limit_targets, outflow, remove_volumes, renewed_volume, sunk_volumes,
 };
 pub use liquid_components::{
     Before, Components, balance, component_origins, label_at, liquid_components, shared_volumes,

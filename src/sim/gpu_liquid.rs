@@ -156,7 +156,7 @@ fn liquid_plan(scene: &Scene, taps: &SourcesAndSinks, n_markers: usize, f64: boo
         false => n_markers,
     };
     LiquidPlan {
-        n_markers: most + taps.max_markers(scene.time.duration, &grid),
+        n_markers: most + taps.max_markers(effects.level, scene.time.duration, &grid),
         grid,
         effects,
         cfl: scene.time.cfl,
@@ -363,11 +363,15 @@ impl GpuLiquid {
         self.running = self.running_after(head);
         self.inflow = self.inflow(self.running, time_step.dt);
         if let Some(sources) = &self.sources {
-            sources.write_step(gpu, SourceStep::new(self.running, self.n_markers));
+            let grid = &self.buffers.plan.grid;
+            let lattices = self.taps.lattices(grid, head.time, time_step.dt);
+            let step = SourceStep::new(self.running, self.n_markers);
+            sources.write_step(gpu, step, &lattices);
         }
         if let Some(level) = &self.level {
+            let renewed = self.renewed_volume(time_step);
             let numbers = [self.running.seed, self.running.step];
-            level.write_step(gpu, numbers, time_step.motion);
+            level.write_step(gpu, numbers, time_step.motion, renewed);
             if self.sources.is_some() {
                 level.write_used(gpu, self.n_slots());
             }
@@ -377,6 +381,18 @@ impl GpuLiquid {
             exchange.write_step(gpu, &self.taps, self.running, (time_step.dt, cell_volume));
         }
         Ok(())
+    }
+
+    /// See [`renewed_volume`], volumes of a cell.
+    fn renewed_volume(&self, time_step: TimeStep) -> f64 {
+        let plan = &self.buffers.plan;
+        match plan.effects.open_sides {
+            true => {
+                let rate = self.inflow / time_step.dt;
+                reference::renewed_volume(rate, time_step.control_time) / plan.grid.cell_volume()
+            }
+            false => 0.0,
+        }
     }
 
     /// Volume that the sources emit beyond their own cells in a sub-step of dt (s), m^3.

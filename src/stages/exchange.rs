@@ -46,14 +46,18 @@ impl Sources {
             let gpu = &gpu.at(stage.name());
             Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[self, liquid])
         };
-        let count = bound(Stage::Exchange, wgsl!("count_in_sources"))?;
-        let mut exchange = vec![count.threads(liquid.n_markers())];
-        if liquid.plan.effects.level {
-            let skip = bound(Stage::Exchange, wgsl!("skip_deep_sources"))?;
-            exchange.push(skip.threads(self.n_cells()));
-        }
-        exchange.push(bound(Stage::Exchange, wgsl!("plan_seeds"))?.threads(1));
-        exchange.push(bound(Stage::Exchange, wgsl!("seed_markers"))?.threads(self.slots()));
+        let exchange = match liquid.plan.effects.level {
+            true => [
+                bound(Stage::Exchange, wgsl!("count_emitted"))?.threads(self.n_cells()),
+                bound(Stage::Exchange, wgsl!("scan_emitted"))?.threads(1),
+                bound(Stage::Exchange, wgsl!("emit_markers"))?.threads(self.slots()),
+            ],
+            false => [
+                bound(Stage::Exchange, wgsl!("count_in_sources"))?.threads(liquid.n_markers()),
+                bound(Stage::Exchange, wgsl!("plan_seeds"))?.threads(1),
+                bound(Stage::Exchange, wgsl!("seed_markers"))?.threads(self.slots()),
+            ],
+        };
         let hold_faces = bound(Stage::Forces, wgsl!("hold_faces"))?.threads(self.n_faces);
         let carry_faces = bound(Stage::WriteBack, wgsl!("carry_faces"))?.threads(self.n_faces);
         Ok([

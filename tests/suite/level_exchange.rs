@@ -7,7 +7,7 @@ use cutwater::fields::{
     ExchangeBuffers, LevelBuffers, LevelExchange, LiquidBuffers, LiquidPlan, Report, Sinks,
     SolverBuffers, SourceStep, Sources, Step,
 };
-use cutwater::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks, obstacle_cut};
+use cutwater::geometry::{MARKERS_PER_CELL, MOST_SITES, Running, SourcesAndSinks, obstacle_cut};
 use cutwater::gpu::{AdapterChoice, Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{self, Ballistic, filled};
@@ -279,7 +279,9 @@ fn the_exchange_of_a_level_has_kernels_and_arrays_only_where_it_is() {
             (
                 &[
                     "fill_sources",
-                    "skip_deep_sources",
+                    "count_emitted",
+                    "scan_emitted",
+                    "emit_markers",
                     "count_labelled",
                     "add_sources",
                 ][..],
@@ -370,7 +372,7 @@ impl<'a> Run<'a> {
         let plan = LiquidPlan {
             grid,
             effects: case.effects,
-            n_markers: case.state.markers.len() + MARKERS_PER_CELL * taps.source_cells.len(),
+            n_markers: case.state.markers.len() + MOST_SITES * taps.source_cells.len(),
             cfl: case.cfl,
             real: if gpu.has_f64() { Real::F64 } else { Real::F32 },
         };
@@ -413,13 +415,22 @@ impl<'a> Run<'a> {
         self.level.write_components(self.gpu, &self.case.state);
         self.gpu.upload(&self.level.marker_counts, &[0; 6]);
         let n_markers = self.case.state.markers.len();
-        self.sources
-            .write_step(self.gpu, SourceStep::new(running, n_markers));
         let dt = f64::from(self.case.dt as f32);
+        let lattices = self.taps.lattices(&self.case.grid, TIME, dt);
+        let step = SourceStep::new(running, n_markers);
+        self.sources.write_step(self.gpu, step, &lattices);
+        let renewed = self.renewed() / self.case.grid.cell_volume();
+        self.level.write_step(self.gpu, [17, 3], 1.0, renewed);
         let one = self.case.grid.cell_volume();
         self.exchange
             .write_step(self.gpu, &self.taps, running, (dt, one));
         self.case.band(self.gpu, &self.liquid);
+    }
+
+    /// So that the largest component is controlled in part and the others are not.
+    fn renewed(&self) -> f64 {
+        let volumes = self.case.state.component_volume.iter();
+        single(0.65 * volumes.fold(0.0, |most: f64, &volume| most.max(volume)))
     }
 
     fn cells(&self, values: &[f32]) -> Vec<f64> {
@@ -431,6 +442,60 @@ impl<'a> Run<'a> {
     fn report(&self) -> Report {
         Report::from_words(&self.gpu.download(&self.liquid.report).unwrap())
     }
+}
+
+/// Start of the sub-step, s.
+const TIME: f64 = 0.7;
+
+#[test]
+fn sources_emit_the_markers_of_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    let run = Run::new(gpu);
+    let grid = &run.case.grid;
+    let [emission, ..] = run.sources.stages(gpu, &run.liquid).unwrap();
+    let n = run.case.state.markers.len();
+    let state = &run.case.state;
+    let distance = &run.case.cut.solid_distance;
+    let distance = reference::closed_to_markers(distance, &state.liquid_distance, grid.dx);
+    let mut emitted = Vec::new();
+    for running in twin_exchange::runs() {
+        // The last moves a source by more than its cells.
+        for dt in [0.004, 0.03, 0.4] {
+            let lattices = run.taps.lattices(grid, TIME, dt);
+            let step = SourceStep::new(running, n);
+            let go = || {
+                run.write(running);
+                run.sources.write_step(gpu, step, &lattices);
+                let mut recorder = Recorder::new(gpu);
+                emission.record(&mut recorder);
+                recorder.submit();
+                let markers = gpu.download(run.liquid.markers.as_ref().unwrap()).unwrap();
+                (markers, run.report().emitted)
+            };
+            let (markers, n_emitted) = go();
+            assert!((markers.clone(), n_emitted) == go(), "again");
+            let mut twin = Vec::new();
+            let n_twin =
+                reference::emit_markers(grid, &run.taps, running, &lattices, &distance, &mut twin);
+            assert_eq!(u64::from(n_emitted), n_twin);
+            let new = &markers[n..];
+            assert!(new[twin.len()..].iter().all(|marker| *marker == [0.0; 4]));
+            // Halves and quotients by powers of two are exact: a sum and a product are rounded.
+            let bound = 2.0 * EPS * run.case.extent() * grid.dx;
+            let pairs = new.iter().zip(&twin).enumerate();
+            assert_close(
+                "positions",
+                pairs.flat_map(|(index, (gpu, twin))| {
+                    (0..3).map(move |a| (f64::from(gpu[a]), twin[a], bound, [index, a, 0]))
+                }),
+            );
+            emitted.push(n_twin);
+        }
+    }
+    // None runs in the third. Sources that do not start emit less in a short sub-step: one runs in the second, where another starts.
+    assert_eq!(emitted[6..9], [0; 3]);
+    let growing = emitted[3..6].windows(2).all(|pair| pair[0] < pair[1]);
+    assert!(emitted[3] > 0 && growing, "{emitted:?}");
 }
 
 /// Rounding of a volume of a cell to a unit of the sums.
@@ -542,7 +607,7 @@ fn a_level_exchanges_as_in_the_twin() {
         let whole = f64::from(run.step().volume_0) + one * (filled_whole - sum(&left) - sum(&sunk));
         reference::balance(whole, &new.volume, &mut shares);
         let unlimited: f64 = shares.iter().sum();
-        let limited = reference::limit_targets(&new.volume, &mut shares);
+        let limited = reference::limit_targets(&new.volume, run.renewed(), &mut shares);
         assert!((shares.iter().sum::<f64>() - unlimited - limited).abs() < 1e-12);
         // A target is a share of volumes that are off by at most 40 roundings of the whole and a rounding of each cell.
         let n = grid.n_cells() as f64;

@@ -357,7 +357,16 @@ fn crowded_markers_are_an_excess() {
     let volumes = open_volumes(&grid, &cut.solid_distance);
     let components = liquid_components(&grid, &cut.open, &volumes, &level);
     for (f, e) in [(1.0, 0.0), (1.05, 0.0), (1.3, 0.24), (0.6, -0.34)] {
-        let e_of = excess(cells, &components, &vec![f; level.len()], &level);
+        let occupancy = vec![f; level.len()];
+        let e_of = excess(cells, &components, 0.0, &occupancy, &level);
+        // Sources renew two thirds of the liquid: half of it is controlled.
+        let renewed = components.volume[0] / 1.5;
+        let half = excess(cells, &components, renewed, &occupancy, &level);
+        assert!(
+            half.iter()
+                .zip(&e_of)
+                .all(|(half, e)| (half - 0.5 * e).abs() < 1e-12)
+        );
         for (cell, &phi) in level.iter().enumerate() {
             match phi < 0.0 && phi > -4.0 {
                 true => close(e_of[cell], e, 1e-12),

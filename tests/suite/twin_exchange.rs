@@ -119,7 +119,7 @@ fn markers_come_and_go_as_in_the_twin() {
         let exchange = sinks.exchange(gpu, &run.buffers, None).unwrap();
         let go = || {
             let n = run.write(gpu);
-            sources.write_step(gpu, SourceStep::new(running, n));
+            sources.write_step(gpu, SourceStep::new(running, n), &[]);
             let mut recorder = Recorder::new(gpu);
             exchange.record(&mut recorder);
             seeding.record(&mut recorder);
@@ -206,7 +206,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
     let [_, forces, write_back] = sources.stages(gpu, &run.buffers).unwrap();
     for running in runs() {
         let n = run.write(gpu);
-        sources.write_step(gpu, SourceStep::new(running, n));
+        sources.write_step(gpu, SourceStep::new(running, n), &[]);
         let u = &run.case.state.velocity;
         gpu.upload(&run.buffers.velocity_next, &run.buffers.pad_faces(u));
         let mut recorder = Recorder::new(gpu);
@@ -303,6 +303,60 @@ fn a_source_emits_its_velocity_times_its_area() {
         "{}",
         taps.speed(0.1, 6.0)
     );
+}
+
+/// With a level a jet has the same markers for all lengths of the sub-steps, and the density of liquid.
+#[test]
+fn the_markers_of_a_jet_do_not_depend_on_the_sub_steps() {
+    let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [10, 10, 10]\n[time]\nduration = 1.0\n[liquid]\nsurface = \"level\"\n\
+                [[source]]\nbox = { min = [0.1, 0.3, 0.3], max = [0.3, 0.7, 0.65] }\nvelocity = [1.5, 0.0, 0.0]\n";
+    let scene = Scene::parse(std::path::Path::new("jet.toml"), text, &[], 1.0).unwrap();
+    let grid = scene.grid();
+    let cut = obstacle_cut(&scene, &grid).unwrap().cut;
+    let taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
+    let duration = 0.4;
+    let jet = |n_steps: usize| {
+        let dt = duration / n_steps as f64;
+        let mut markers: Vec<[f64; 3]> = Vec::new();
+        for step in 0..n_steps {
+            let running = Running {
+                running: 1,
+                starting: u32::from(step == 0),
+                seed: 17,
+                step: step as u32,
+            };
+            markers.iter_mut().for_each(|x| x[0] += 1.5 * dt);
+            let lattices = taps.lattices(&grid, step as f64 * dt, dt);
+            reference::emit_markers(
+                &grid,
+                &taps,
+                running,
+                &lattices,
+                &cut.solid_distance,
+                &mut markers,
+            );
+        }
+        // Those that passed the outlet after the first sub-step.
+        let end = 0.3 + 1.5 * (duration - dt);
+        markers.retain(|x| x[0] < end);
+        markers.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        (markers, end)
+    };
+    let (long, end) = jet(4);
+    for n_steps in [8, 32, 256] {
+        let (short, _) = jet(n_steps);
+        let short: Vec<_> = short.into_iter().filter(|x| x[0] < end).collect();
+        assert_eq!(short.len(), long.len(), "{n_steps}");
+        for (a, b) in short.iter().zip(&long) {
+            // A place is rounded to half a unit of an octant of 0.05 m, at its emission.
+            let off = (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f64::max);
+            assert!(off <= 0.05 / 65536.0, "{n_steps}: {off}");
+        }
+    }
+    // Across the jet octants are cells of the lattice, 8 by 7. Along it up to a layer at the ends is there or not.
+    let layers = (end - 0.1) / 0.05;
+    let off = long.len() as f64 / (8.0 * 7.0) - layers;
+    assert!(off.abs() <= 1.0, "{off} layers");
 }
 
 /// A body that has come into a source: cells with their centre in it get nothing. In the others what it puts out stays beside it, so they

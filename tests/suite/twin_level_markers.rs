@@ -38,7 +38,7 @@ fn upload(gpu: &Gpu, case: &Case, more: usize) -> (LiquidBuffers, LevelBuffers) 
 fn write(gpu: &Gpu, case: &Case, liquid: &LiquidBuffers, level: &LevelBuffers) {
     case.write(gpu, liquid);
     level.write_markers(gpu, &case.state);
-    level.write_step(gpu, NUMBERS, 1.0);
+    level.write_step(gpu, NUMBERS, 1.0, 0.0);
 }
 
 fn record(gpu: &Gpu, stage: &cutwater::gpu::Dispatches) {

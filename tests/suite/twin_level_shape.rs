@@ -363,7 +363,7 @@ fn the_level_is_filtered_as_in_the_twin() {
         }
         gpu.upload(&run.level.thin, &marks);
         let motion = 0.75;
-        run.level.write_step(gpu, [0; 2], motion);
+        run.level.write_step(gpu, [0; 2], motion, 0.0);
         let stage = [stages::filter_level(gpu, &run.liquid, &run.level).unwrap()];
         run.record(&stage);
         let first = run.bits(&run.level.new_level);
@@ -484,7 +484,7 @@ fn the_stages_of_the_shape_in_a_row_do_what_the_twins_do() {
     let carried = run.put_level(&run.level.carried_level, &level_of(&case));
     let (liquid, level) = (&run.liquid, &run.level);
     let motion = 0.75;
-    level.write_step(gpu, [0; 2], motion);
+    level.write_step(gpu, [0; 2], motion, 0.0);
     let stages = [
         stages::occupancy(gpu, liquid, level).unwrap(),
         stages::bound_level(gpu, liquid, level).unwrap(),

@@ -9,10 +9,10 @@ use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide,
     add_excess, add_sources, advect_level, advect_level_markers, balance, bound_level,
-    closed_to_markers, component_origins, empty_level_sinks, excess, extend_level, fill_sources,
-    filter_level, interpolant_part, land, limit_targets, liquid_components, marker_band,
-    move_spray_volume, occupancy, open_volumes, outflow, redistance, remove_volumes, seed_markers,
-    shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
+    closed_to_markers, component_origins, emit_markers, empty_level_sinks, excess, extend_level,
+    fill_sources, filter_level, interpolant_part, land, limit_targets, liquid_components,
+    marker_band, move_spray_volume, occupancy, open_volumes, outflow, redistance, remove_volumes,
+    renewed_volume, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -27,6 +27,8 @@ pub(super) struct LevelResults {
     level: Vec<f64>,
     excess: Vec<f64>,
     components: Components,
+    /// See [`renewed_volume`], m^3.
+    renewed: f64,
     /// Volumes that left through open sides and sank, with spray, and of spray lost in bodies, m^3.
     removed: [f64; 3],
     /// Volumes of starting sources, per source cell, m^3.
@@ -119,17 +121,18 @@ impl SubStep<'_> {
         let mut positions = markers.position.clone();
         let distance = &self.boundary.cut_cells().solid_distance;
         let distance = closed_to_markers(distance, &self.before.liquid_distance, grid.dx);
-        let seeded = seed_markers(grid, taps, sources, &distance, &mut positions);
+        let lattices = taps.lattices(grid, self.before.time, self.time_step.dt);
+        let emitted = emit_markers(grid, taps, sources, &lattices, &distance, &mut positions);
         markers.extend(grid, &self.before.velocity, &positions[kept..]);
         self.after.put_markers(markers);
         self.results.level.removed[1] = self.spray_volume(sunk_spray as u64);
         let exchange = &mut self.results.exchange;
         exchange.left = self.results.removed_markers.left;
         exchange.sunk = sunk;
-        exchange.emitted = seeded.emitted;
+        exchange.emitted = emitted;
         self.after.markers_left += exchange.left;
         self.after.markers_sunk += sunk;
-        self.after.markers_emitted += seeded.emitted;
+        self.after.markers_emitted += emitted;
         self.after.sources_running = sources.running.into();
         self.open_sources();
     }
@@ -229,6 +232,11 @@ impl SubStep<'_> {
         let inflows = (0..taps.n_sources()).map(|n| taps.inflow(self.sources, n as u32, dt));
         let (inflows, first_fill) = (inflows.collect::<Vec<_>>(), &self.results.level.first_fill);
         add_sources(taps, first_fill, &inflows, &components.label, &mut targets);
+        let rate = inflows.iter().sum::<f64>() / dt;
+        self.results.level.renewed = match model.effects.open_sides {
+            true => renewed_volume(rate, self.time_step.control_time),
+            false => 0.0,
+        };
         let [left, sunk, spray] = self.results.level.removed;
         let emitted = first_fill.iter().sum::<f64>() + inflows.iter().sum::<f64>();
         let whole = before.volume_0 - left - sunk - spray + emitted;
@@ -237,7 +245,7 @@ impl SubStep<'_> {
         balance(whole - flying, &components.volume, &mut targets);
         self.after.volume_0 = whole;
         if model.effects.open_sides {
-            limit_targets(&components.volume, &mut targets);
+            limit_targets(&components.volume, self.results.level.renewed, &mut targets);
             self.after.volume_0 = targets.iter().sum::<f64>() + flying;
         }
         self.results.exchange.volume_left = left;
@@ -268,6 +276,7 @@ impl SubStep<'_> {
         let excess = excess(
             self.cells(),
             &level.components,
+            level.renewed,
             &level.occupancy,
             &self.level_after(),
         );

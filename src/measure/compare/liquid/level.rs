@@ -524,7 +524,9 @@ impl LiquidComparison<'_> {
             .fold(1.0, |most: f64, f| most.max(f.abs()));
         let bound = 64.0 * EPS * most / 0.05;
         let twins = self.twins(&level, 2.0 * EPS * REACH, |level| {
-            reference::excess(self.level_cells(), &components, &before.occupancy, level)
+            let renewed = self.renewed;
+            let occupancy = &before.occupancy;
+            reference::excess(self.level_cells(), &components, renewed, occupancy, level)
         });
         self.band_cells(["e", ""], after, &now.excess, &twins, bound);
     }

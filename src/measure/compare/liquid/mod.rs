@@ -11,7 +11,7 @@ use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::effects::Effects;
 use crate::fields::Step;
-use crate::geometry::{CutCells, Running, SolidClip, SourcesAndSinks};
+use crate::geometry::{CutCells, Lattice, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
@@ -41,6 +41,10 @@ pub(super) struct LiquidComparison<'a> {
     taps: SourcesAndSinks,
     /// State of the sources in the sub-step.
     running: Running,
+    /// Of the sources, with a level.
+    lattices: Vec<Lattice>,
+    /// Volume that sources renew, m^3.
+    renewed: f64,
     step: Step,
     /// [`TimeStep::motion`] on the device.
     motion: f64,
@@ -97,6 +101,8 @@ impl<'a> LiquidComparison<'a> {
             cut,
             taps: taps.unwrap_or_default(),
             running: Running::default(),
+            lattices: Vec::new(),
+            renewed: 0.0,
             step,
             motion: 0.0,
             table: Table::default(),
@@ -136,6 +142,13 @@ impl<'a> LiquidComparison<'a> {
         }
         if let Some((_, running)) = path.taps() {
             self.running = running;
+            let (grid, dt) = (self.scene.grid(), time_step.dt);
+            self.lattices = self.taps.lattices(&grid, path.clock().time, dt);
+            let sources = 0..self.taps.n_sources() as u32;
+            let inflow: f64 = sources.map(|of| self.taps.inflow(running, of, dt)).sum();
+            if Effects::of(self.scene).open_sides {
+                self.renewed = reference::renewed_volume(inflow / dt, time_step.control_time);
+            }
         }
     }
 
@@ -335,7 +348,15 @@ impl<'a> LiquidComparison<'a> {
         if level {
             walls = reference::closed_to_markers(&walls, &after.liquid_distance, grid.dx);
         }
-        let seeded = reference::seed_markers(&grid, &self.taps, self.running, &walls, &mut kept);
+        let (taps, running) = (&self.taps, self.running);
+        let filled = match level {
+            true => {
+                let lattices = &self.lattices;
+                reference::emit_markers(&grid, taps, running, lattices, &walls, &mut kept);
+                0
+            }
+            false => reference::seed_markers(&grid, taps, running, &walls, &mut kept).filled,
+        };
         let twin = &kept[n_kept..];
         let new = &after.markers[n_before.min(after.markers.len())..];
         let gpu: Vec<[f64; 3]> = new.iter().copied().flatten().collect();
@@ -344,7 +365,7 @@ impl<'a> LiquidComparison<'a> {
             excused = 1;
         } else {
             let counts = [gpu.len(), twin.len()].map(|n| n as f64);
-            let filled = [after.report.filled.into(), seeded.filled as f64];
+            let filled = [after.report.filled.into(), filled as f64];
             // A level fills its sources by volume.
             let numbers = [counts, filled].into_iter().take(if level { 1 } else { 2 });
             let numbers = numbers.map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
