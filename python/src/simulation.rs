@@ -82,8 +82,12 @@ impl Inner {
             ));
         }
         let mut scene = after.clone();
-        if after.domain.gravity == before.domain.gravity {
-            scene.domain.gravity = now.domain.gravity;
+        let gravity = |scene: &scene::Scene| {
+            let domain = &scene.domain;
+            (domain.gravity, domain.gravity_keyframes.clone())
+        };
+        if gravity(after) == gravity(before) {
+            (scene.domain.gravity, scene.domain.gravity_keyframes) = gravity(now);
         }
         let [old, present] = [before, now].map(|of| keyframes(&mut of.clone()));
         let mut wanted = Vec::new();

@@ -172,8 +172,10 @@ def test_a_checkpoint_of_a_run_is_a_state(water):
     sim = cutwater.Simulation(scene, backend="cpu")
     sim.state = cutwater.State.load("run/checkpoint.npz")
     assert sim.frame_number == 2
-    other = cutwater.Simulation(water | {"time": {"duration": 1.0}}, backend="cpu")
-    with pytest.raises(InputError, match="another scene"):
+    longer = cutwater.Simulation(water | {"time": {"duration": 1.0}}, backend="cpu")
+    longer.state = sim.state
+    other = cutwater.Simulation(water | {"liquid": water["liquid"] | {"density": 900.0}}, backend="cpu")
+    with pytest.raises(InputError, match="another scene: liquid.density"):
         other.state = sim.state
     other.resume(sim.state, same_scene=False)
     assert other.frame_number == 2

@@ -8,8 +8,8 @@ use crate::measure::converge::{Refined, Study, refined};
 use crate::measure::sweep::{Options, Shard, Sweep};
 use crate::scene::{MAX_FRAMES, Scene};
 
-use super::BackendArgs;
 use super::sweep::SweepCommand;
+use super::{BackendArgs, Overrides};
 
 /// Run a scene at several scales and estimate the order of convergence and the limit of each probe
 #[derive(Debug, clap::Args)]
@@ -30,9 +30,8 @@ pub(super) struct Converge {
     /// Also refine the elements of the solids
     #[arg(long)]
     elements: bool,
-    /// Override a key of the scene in all runs; may be repeated
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
     #[command(flatten)]
     backend: BackendArgs,
     /// Folder of the study; out/NAME_converge by default
@@ -65,7 +64,8 @@ impl Converge {
                 "write --scales 0.5,1,2",
             ));
         }
-        let scene = Scene::load(&self.scene, &self.overrides, 1.0)?;
+        let overrides = self.overrides.all();
+        let scene = Scene::load(&self.scene, &overrides, 1.0)?;
         if scene.probes.is_empty() {
             return Err(Error::input(
                 self.scene.display().to_string(),
@@ -81,9 +81,10 @@ impl Converge {
             steps: self.steps,
             elements: self.elements,
         };
-        let settings = refined(&scene, &self.overrides, what)?;
+        let settings = refined(&scene, &overrides, what)?;
         let options = Options {
             scene: self.scene.clone(),
+            without: Vec::new(),
             scale: 1.0,
             frames: self.frames,
             backend: self.backend.backend().name(),
@@ -93,6 +94,7 @@ impl Converge {
         let sweep_command = SweepCommand {
             scene: self.scene.clone(),
             settings: Vec::new(),
+            without: Vec::new(),
             scale: 1.0,
             backend: self.backend.clone(),
             out: Some(out.clone()),

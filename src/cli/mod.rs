@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::gpu::AdapterChoice;
-use crate::scene::Scene;
+use crate::scene::{Scene, without};
 use crate::sim::Backend;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
@@ -85,14 +85,32 @@ struct SceneArgs {
     /// Multiply domain.cells, rounded
     #[arg(long, default_value_t = 1.0)]
     scale: f64,
-    /// Override a key of the scene, such as liquid.region[0].velocity=[1,0,0]; may be repeated
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
 }
 
 impl SceneArgs {
     fn load(&self) -> Result<Scene, Error> {
-        Scene::load(&self.scene, &self.overrides, self.scale)
+        Scene::load(&self.scene, &self.overrides.all(), self.scale)
+    }
+}
+
+/// Changes of a scene.
+#[derive(Debug, Args)]
+struct Overrides {
+    /// Override a key of the scene, such as liquid.region[0].velocity=[1,0,0]; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Remove a key of the scene and what refers to it, such as liquid, solid[0], solid.NAME or obstacle[1]; may be repeated
+    #[arg(long = "without", value_name = "KEY")]
+    without: Vec<String>,
+}
+
+impl Overrides {
+    /// The overrides of the library.
+    fn all(&self) -> Vec<String> {
+        let removals = self.without.iter().map(|key| without(key));
+        self.set.iter().cloned().chain(removals).collect()
     }
 }
 

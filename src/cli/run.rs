@@ -273,6 +273,14 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
             )
         });
     }
+    let stale = summary
+        .resumed
+        .as_ref()
+        .is_some_and(|resumed| resumed.skins_removed);
+    warn_if(stale, &|| {
+        "skins of an earlier part of the run were removed, since they lack the later frames; run `cutwater skin` again"
+            .to_owned()
+    });
     for region in &summary.empty_regions {
         warn_if(true, &|| {
             format!(

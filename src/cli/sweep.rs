@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use crate::Error;
 use crate::measure::sweep::{Axis, LOG, Options, Row, Run, Shard, Status, Sweep};
-use crate::scene::MAX_FRAMES;
+use crate::scene::{MAX_FRAMES, override_option, without};
 use clap::{ArgAction, ValueEnum};
 
 use super::BackendArgs;
@@ -28,6 +28,9 @@ pub(super) struct SweepCommand {
     /// A key of the scene and its values, such as solid[0].young=1e5,1e6; may be repeated, for the product of all
     #[arg(long = "set", value_name = "KEY=V1,V2", required = true, action = ArgAction::Append)]
     pub(super) settings: Vec<String>,
+    /// Remove a key of the scene in all runs, and what refers to it, such as liquid, solid[0] or solid.NAME; may be repeated
+    #[arg(long = "without", value_name = "KEY")]
+    pub(super) without: Vec<String>,
     /// Multiply domain.cells, rounded
     #[arg(long, default_value_t = 1.0)]
     pub(super) scale: f64,
@@ -74,6 +77,7 @@ impl SweepCommand {
         });
         let options = Options {
             scene: self.scene.clone(),
+            without: self.without.iter().map(|key| without(key)).collect(),
             scale: self.scale,
             frames: self.frames,
             backend: self.backend.backend().name(),
@@ -222,7 +226,7 @@ impl SweepCommand {
         command.arg("run").arg(&self.scene);
         command.arg("--out").arg(&run.folder);
         for setting in &run.overrides {
-            command.arg("--set").arg(setting);
+            command.args(override_option(setting));
         }
         command.args(["--scale", &run.scale.to_string()]);
         if let Some(name) = self.backend.backend.to_possible_value() {

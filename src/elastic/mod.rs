@@ -6,6 +6,7 @@
 mod bounds;
 mod element;
 mod incidence;
+mod loads;
 mod probe;
 mod rotation;
 mod script;
@@ -17,6 +18,7 @@ pub use element::{
     von_mises,
 };
 pub use incidence::{Corner, Incidence, Joint};
+pub use loads::TimedLoad;
 pub use probe::{NodeReadback, ProbedPart};
 pub use rotation::rotation;
 
@@ -47,8 +49,12 @@ pub struct Solids {
     pub prescribed: Vec<[bool; 3]>,
     /// Motions of scripted nodes.
     pub scripts: Vec<Script>,
-    /// Constant forces on the nodes, N, without gravity.
+    /// Forces on the nodes, N, without gravity. With loads over time their means over the last sub-step.
     pub load: Vec<DVec3>,
+    /// The constant part of `load`, N.
+    constant_load: Vec<DVec3>,
+    /// Loads that change over time.
+    pub timed_loads: Vec<TimedLoad>,
     /// Nodes and elements of each probe of the scene.
     pub probed: Vec<ProbedPart>,
 }

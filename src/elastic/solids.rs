@@ -5,8 +5,8 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::{
-    Body, Deformation, Pivot, RotatingBody, Script, Solids, lame_parameters, rest_shape, stress,
-    von_mises,
+    Body, Deformation, Pivot, RotatingBody, Script, Solids, TimedLoad, lame_parameters, rest_shape,
+    stress, von_mises,
 };
 use crate::error::{Error, rounded};
 use crate::geometry::{MovedMesh, TetMesh, bounds, deepest_obstacle, inside};
@@ -54,7 +54,7 @@ impl Solids {
         self.rest.extend(&mesh.nodes);
         self.mass.resize(n_nodes, 0.0);
         self.prescribed.resize(n_nodes, [false; 3]);
-        self.load.resize(n_nodes, DVec3::ZERO);
+        self.constant_load.resize(n_nodes, DVec3::ZERO);
         for corners in &mesh.elements {
             let corners = corners.map(shifted);
             let (gradients, volume) = rest_shape(corners.map(|corner| self.rest[corner as usize]));
@@ -88,6 +88,8 @@ impl Solids {
         for (number, load) in solid.loads.iter().enumerate() {
             self.load(&body, load, &at(&format!("load[{number}]")))?;
         }
+        self.load.clone_from(&self.constant_load);
+        self.set_load([0.0; 2]);
         self.bodies.push(body);
         Ok(())
     }
@@ -151,11 +153,11 @@ impl Solids {
     /// Adds a load to the forces on the nodes.
     fn load(&mut self, body: &Body, load: &Load, name: &str) -> Result<(), Error> {
         let nodes = self.nodes_in(body, &load.region, name)?;
-        match load.kind {
+        let mut weights: Vec<(u32, f64)> = Vec::new();
+        let (value, divisor) = match load.kind {
             LoadKind::Force(force) => {
-                for &node in &nodes {
-                    self.load[node as usize] += force / nodes.len() as f64;
-                }
+                weights.extend(nodes.iter().map(|&node| (node, 1.0)));
+                (force, nodes.len() as f64)
             }
             LoadKind::Traction(traction) => {
                 let in_region = |node: &u32| nodes.binary_search(node).is_ok();
@@ -168,9 +170,7 @@ impl Solids {
                     let [a, b, c] = triangle.map(|node| self.rest[node as usize]);
                     let area = 0.5 * (b - a).cross(c - a).length();
                     // Each node has a third of the area, the integral of its shape function.
-                    for node in triangle {
-                        self.load[*node as usize] += area / 3.0 * traction;
-                    }
+                    weights.extend(triangle.map(|node| (node, area / 3.0)));
                 }
                 if !any {
                     return Err(Error::input(
@@ -179,7 +179,19 @@ impl Solids {
                         "enlarge the region to contain the loaded part of the surface",
                     ));
                 }
+                (traction, 1.0)
             }
+        };
+        if load.keyframes.is_empty() {
+            for (node, weight) in weights {
+                self.constant_load[node as usize] += weight * value / divisor;
+            }
+        } else {
+            self.timed_loads.push(TimedLoad {
+                weights,
+                divisor,
+                keyframes: load.keyframes.clone(),
+            });
         }
         Ok(())
     }
@@ -329,8 +341,11 @@ impl Solids {
     /// Numbers and nodes of the bodies without constraints and loads.
     pub fn free_bodies(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
         let free = |(_, body): &(usize, &Body)| {
+            let mut timed = self.timed_loads.iter().flat_map(|load| &load.weights);
             let loaded = |node: usize| self.load[node] != DVec3::ZERO;
-            self.constrained_nodes(body).is_empty() && !body.nodes.clone().any(loaded)
+            self.constrained_nodes(body).is_empty()
+                && !body.nodes.clone().any(loaded)
+                && !timed.any(|&(node, _)| body.nodes.contains(&(node as usize)))
         };
         let bodies = self.bodies.iter().enumerate().filter(free);
         bodies.map(|(number, body)| (number, body.nodes.clone()))

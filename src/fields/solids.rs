@@ -221,6 +221,11 @@ impl SolidBuffers {
         let free = |[x, y, z]: &[bool; 3]| u32::from(!x) | u32::from(!y) << 1 | u32::from(!z) << 2;
         let flags: Vec<u32> = solids.prescribed.iter().map(free).collect();
         gpu.upload(&self.flags, &flags);
+        self.write_load(gpu, solids);
+    }
+
+    /// Writes the forces on the nodes, before all work submitted later.
+    pub fn write_load(&self, gpu: &Gpu, solids: &Solids) {
         let mut load = vec![0.0; 4 * self.plan.n_nodes];
         for body in &solids.bodies {
             for node in body.nodes.clone() {

@@ -70,8 +70,10 @@ pub fn rest_from_file(solid: &Solid, what: &str) -> Result<[DVec3; 4], Error> {
     };
     let centre = 0.5 * (low + high);
     let placement = solid.placement.about(centre);
-    let [x, y, z] = DVec3::AXES.map(|axis| placement.scale * unit * (placement.rotate * axis));
-    Ok([x, y, z, placement.put(DVec3::ZERO, centre)])
+    let column = |axis| placement.scale * unit * (placement.rotate * axis);
+    let [x, y, z] = DVec3::AXES.map(column);
+    let columns = [x, y, z, placement.put(DVec3::ZERO, centre)];
+    Ok(columns.map(|column| solid.stretch * column))
 }
 
 impl TetMesh {
@@ -124,7 +126,7 @@ impl TetMesh {
         };
         let placement = solid.placement.about(centre);
         for x in &mut mesh.nodes {
-            *x = placement.put(*x, centre);
+            *x = solid.stretch * placement.put(*x, centre);
         }
         match mesh.fault() {
             Some(fault) => Err(error(fault)),

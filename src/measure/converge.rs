@@ -301,6 +301,7 @@ pub fn refined(
 ) -> Result<impl Fn(f64) -> Vec<String> + use<>, Error> {
     let Refined { steps, elements } = refined;
     let time = scene.time.clone();
+    let slab = scene.domain.slab;
     if steps && time.fixed_step.is_none() && time.max_step.is_none() {
         return Err(Error::input(
             "--steps",
@@ -325,10 +326,11 @@ pub fn refined(
             ));
         }
     }
-    let meshes: Vec<SolidMesh> = scene
+    // By name, since a removal among the settings may change indices.
+    let meshes: Vec<(String, SolidMesh)> = scene
         .solids
         .iter()
-        .map(|solid| solid.mesh.clone())
+        .map(|solid| (solid.name.clone(), solid.mesh.clone()))
         .collect();
     let settings = settings.to_vec();
     Ok(move |scale: f64| {
@@ -340,11 +342,16 @@ pub fn refined(
                 .filter_map(|(key, step)| Some((key, step?)));
             all.extend(present.map(|(key, step)| format!("time.{key}={:?}", step / scale)));
         }
-        for (number, mesh) in meshes.iter().enumerate().filter(|_| elements) {
-            let key = format!("solid[{number}].mesh");
+        for (name, mesh) in meshes.iter().filter(|_| elements) {
+            let key = format!("solid.{name}.mesh");
             all.push(match mesh {
                 SolidMesh::Box { cells, .. } => {
-                    let [x, y, z] = cells.map(|n| (n as f64 * scale).round().max(1.0));
+                    let mut bricks = cells.map(|n| (n as f64 * scale).round().max(1.0));
+                    // Nothing varies across a slab.
+                    if let Some(slab) = slab {
+                        bricks[slab.axis] = cells[slab.axis] as f64;
+                    }
+                    let [x, y, z] = bricks;
                     format!("{key}.box.cells=[{x}, {y}, {z}]")
                 }
                 SolidMesh::Sphere { cell_size, .. } => {

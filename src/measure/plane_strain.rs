@@ -258,6 +258,7 @@ poisson = {:?}
                     max: x + near,
                 },
                 kind: LoadKind::Force(force),
+                keyframes: Vec::new(),
             })
             .collect()
     }

@@ -14,7 +14,7 @@ use super::probe_statistics::Statistics;
 use crate::Error;
 use crate::output::manifest::{Manifest, RunStatus};
 use crate::output::write_atomically;
-use crate::scene::Scene;
+use crate::scene::{Scene, override_option};
 
 /// Most runs of a sweep: a folder each.
 const MAX_RUNS: usize = 100_000;
@@ -127,7 +127,7 @@ pub struct Run {
     pub folder: PathBuf,
     /// Its value of each axis.
     pub values: Vec<String>,
-    /// `KEY=VALUE` of each axis.
+    /// `KEY=VALUE` of each axis, and removals.
     pub overrides: Vec<String>,
     /// `--scale`
     pub scale: f64,
@@ -157,6 +157,9 @@ impl Run {
         options: &Options,
     ) -> Run {
         let name = folder_name(name);
+        // As the command line of a run has them, whose hash depends on their order.
+        let mut overrides = overrides;
+        overrides.sort_by_key(|setting| override_option(setting)[0] == "--without");
         let scene = Scene::load(&options.scene, &overrides, scale);
         Run {
             folder: options.out.join(&name),
@@ -270,6 +273,8 @@ struct Record {
 pub struct Options {
     /// Scene file.
     pub scene: PathBuf,
+    /// Removals of all runs ([`crate::scene::without`]).
+    pub without: Vec<String>,
     /// `--scale`
     pub scale: f64,
     /// Frames instead of the scene's duration.
@@ -329,6 +334,7 @@ impl Sweep {
             let overrides = axes.iter().zip(&values);
             let overrides: Vec<String> = overrides
                 .map(|(axis, value)| format!("{}={value}", axis.key))
+                .chain(options.without.iter().cloned())
                 .collect();
             let parts = labels.iter().zip(&picks);
             let parts: Vec<&str> = parts.map(|(label, &at)| label[at].as_str()).collect();

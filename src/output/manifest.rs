@@ -1,6 +1,6 @@
 //! manifest.json: scene, options, adapter and progress of a run. `preview` starts from it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
@@ -14,6 +14,9 @@ use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::geometry::{SourceFlow, rest_from_file};
 use crate::scene::{Camera, CameraCut, CameraKeyframe, Probe, Scene, Surface, SurfaceMesh};
+
+/// Changed keys that a refusal names.
+const CHANGES_SHOWN: usize = 4;
 
 /// Contents of manifest.json, written at the start, with each frame and at the end. Optional members are absent rather than
 /// empty.
@@ -84,6 +87,51 @@ pub struct SceneRecord {
     pub file: String,
     /// SHA-256 of the file's text and of all overrides, in hexadecimal.
     pub sha256: String,
+    /// Values of the scene, as TOML by dotted key.
+    #[serde(default)]
+    pub values: BTreeMap<String, String>,
+    /// SHA-256 of its mesh files.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub meshes: BTreeMap<String, String>,
+}
+
+impl From<&Scene> for SceneRecord {
+    fn from(scene: &Scene) -> SceneRecord {
+        SceneRecord {
+            name: scene.name.clone(),
+            file: file_name(&scene.file),
+            sha256: scene.hash.clone(),
+            values: scene.values.clone(),
+            meshes: scene.meshes.clone(),
+        }
+    }
+}
+
+impl SceneRecord {
+    /// Differences of a scene that change its results, each as a text. Comments, the camera, files of the run and its duration do not.
+    fn changes(&self, scene: &Scene) -> Vec<String> {
+        let free = |key: &str| {
+            let table = key.split('.').next().unwrap_or_default();
+            ["camera", "output", "surface"].contains(&table) || key == "time.duration"
+        };
+        let keys: BTreeSet<&String> = self.values.keys().chain(scene.values.keys()).collect();
+        let mut changes = Vec::new();
+        for key in keys.into_iter().filter(|key| !free(key)) {
+            let change = match [&self.values, &scene.values].map(|values| values.get(key)) {
+                [Some(then), Some(now)] if then != now => format!("was {then} and is {now}"),
+                [Some(then), None] => format!("was {then} and is gone"),
+                [None, Some(now)] => format!("is new: {now}"),
+                _ => continue,
+            };
+            changes.push(format!("{key} {change}"));
+        }
+        let files: BTreeSet<&String> = self.meshes.keys().chain(scene.meshes.keys()).collect();
+        let changed = files
+            .into_iter()
+            .filter(|file| self.meshes.get(*file) != scene.meshes.get(*file));
+        changes.extend(changed.map(|file| format!("the mesh file {file} has changed")));
+        changes
+    }
 }
 
 /// Flow of a source.
@@ -377,11 +425,7 @@ impl Manifest {
             .filter(|liquid| liquid.surface == Surface::Markers);
         Manifest {
             cutwater: env!("CARGO_PKG_VERSION").to_owned(),
-            scene: SceneRecord {
-                name: scene.name.clone(),
-                file: file_name(&scene.file),
-                sha256: scene.hash.clone(),
-            },
+            scene: SceneRecord::from(scene),
             options,
             adapter,
             earlier_adapters: Vec::new(),
@@ -418,15 +462,12 @@ impl Manifest {
         }
     }
 
-    /// Refuses to resume this run with another scene or other options. `file` is its source. Frames and adapter may differ.
+    /// Refuses to resume this run with another scene or other options. `file` is its source. Frames, adapter, camera and files may differ.
     pub fn ensure_same_run(&self, scene: &Scene, backend: &str, file: &Path) -> Result<(), Error> {
-        let sets = |overrides: &[String]| match overrides {
-            [] => "no --set".to_owned(),
-            sets => format!("--set {}", sets.join(" --set ")),
-        };
         let options = &self.options;
         let [name, now] = [&self.scene.name, &scene.name];
         let version = env!("CARGO_PKG_VERSION");
+        let changes = self.scene.changes(scene);
         let (problem, cure) = if self.cutwater != version {
             let problem = format!("of cutwater {}, and this is {version}", self.cutwater);
             (problem, "resume with that version".to_owned())
@@ -442,20 +483,20 @@ impl Manifest {
                 options.scale, scene.scale
             );
             (problem, format!("resume with --scale {}", options.scale))
-        } else if options.overrides != scene.overrides {
-            let [then, now] = [&options.overrides, &scene.overrides].map(|all| sets(all));
-            (
-                format!("with {then}, and this is with {now}"),
-                format!("resume with {then}"),
-            )
         } else if name != now {
             let problem = format!("of a scene file {name}.toml, and this is {now}.toml");
             (problem, "restore the name of the scene".to_owned())
-        } else if self.scene.sha256 != scene.hash {
-            let problem = "of another scene: the file, or a mesh that it names, has changed";
+        } else if self.scene.sha256 != scene.hash && !changes.is_empty() {
+            let more = changes.len().saturating_sub(CHANGES_SHOWN);
+            let shown = &changes[..changes.len() - more];
+            let problem = match more {
+                0 => shown.join("; "),
+                _ => format!("{}; and {more} more", shown.join("; ")),
+            };
             (
-                problem.to_owned(),
-                "resume with the unchanged scene".to_owned(),
+                format!("of another scene: {problem}"),
+                "restore the scene file and its --set and --without; comments, [camera], [output] and the duration may change"
+                    .to_owned(),
             )
         } else {
             return Ok(());
@@ -465,6 +506,50 @@ impl Manifest {
             format!("the run is {problem}"),
             format!("{cure}, choose another folder with --out, or start again with --overwrite"),
         ))
+    }
+
+    /// Refuses to resume a run whose written frames have other files than the frames of this scene.
+    pub fn ensure_same_frames(&self, scene: &Scene, file: &Path) -> Result<(), Error> {
+        let Some(last) = self.progress.frames_written.last() else {
+            return Ok(());
+        };
+        let kinds = FrameKinds::of(scene);
+        let pairs = [
+            ("output.particles", self.markers, kinds.markers),
+            ("output.fields", self.fields, kinds.fields),
+            ("output.solids", self.solid_frames, kinds.solids),
+            ("output.surface", self.surfaces, kinds.surface.is_some()),
+        ];
+        let other = pairs.into_iter().find(|(_, then, now)| then != now);
+        let mesh = Some(SurfaceRecord::from(&scene.surface));
+        let (problem, cure) = if let Some((key, then, _)) = other {
+            let with = if then { "with" } else { "without" };
+            (
+                format!(
+                    "frames 0 to {last} were written {with} {key}, and later ones would differ"
+                ),
+                format!("set {key} = {then}"),
+            )
+        } else if self.surfaces && self.surface.is_some() && self.surface != mesh {
+            (
+                format!("the surfaces of frames 0 to {last} have other [surface] settings"),
+                "restore [surface]".to_owned(),
+            )
+        } else {
+            return Ok(());
+        };
+        Err(Error::input(
+            file.display().to_string(),
+            problem,
+            format!("{cure}, choose another folder with --out, or start again with --overwrite"),
+        ))
+    }
+
+    /// Whether a frame was written only because the run ended with it.
+    pub fn is_extra(&self, frame: u64) -> bool {
+        let every = self.scene.values.get("output.every");
+        let every = every.and_then(|every| every.parse().ok()).unwrap_or(1_u64);
+        frame == self.options.frames && !frame.is_multiple_of(every)
     }
 
     /// Adds the flows of the sources.

@@ -94,6 +94,7 @@ impl BaseScene {
                 translate: 0.5 * (low + high),
                 ..Placement::default()
             },
+            stretch: DVec3::ONE,
             initial: Initial::default(),
             density: beam.density,
             young: beam.young,

@@ -243,6 +243,12 @@ impl Reference {
             state,
             node_forces,
         } = self;
+        let times = [state.time, state.time + time_step.dt];
+        let domain = &mut model.scene.domain;
+        domain.gravity = domain.mean_gravity(times);
+        if let Some(solid) = &mut model.solid {
+            solid.solids.set_load(times);
+        }
         let boundaries = (&mut *boundary, obstacles.as_mut());
         match SubStep::new(model, boundaries, state, time_step, observer).complete() {
             Ok((after, forces, report)) => {

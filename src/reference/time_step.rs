@@ -5,7 +5,7 @@
 //! dimensions. Near it a surface roughens.
 
 use crate::elastic::Solids;
-use crate::scene::{Acceleration, SHORTEST_STEP, Scene, Surface};
+use crate::scene::{Acceleration, Domain, SHORTEST_STEP, Scene, Surface};
 
 /// Largest dt sqrt(a / dx) of a surface in motion.
 const WAVE_CFL: f64 = 0.9;
@@ -54,8 +54,8 @@ pub struct StepLimits {
     /// Length, s.
     shortest: f64,
     longest: f64,
-    /// m/s^2
-    gravity: f64,
+    /// Gravity.
+    domain: Domain,
     /// Of obstacles and solids.
     prescribed: Vec<Acceleration>,
     /// Whether a free surface moves.
@@ -76,7 +76,7 @@ impl StepLimits {
             fixed_step: time.fixed_step,
             shortest: SHORTEST_STEP * time.duration,
             longest: time.max_step.unwrap_or(f64::INFINITY),
-            gravity: scene.domain.gravity.length(),
+            domain: scene.domain.clone(),
             prescribed: obstacles.into_iter().chain(scripts).collect(),
             surface: liquid.is_some_and(|liquid| liquid.surface != Surface::Fixed),
             edge: grid.size().max_element(),
@@ -129,14 +129,14 @@ impl StepLimits {
     fn acceleration(&self, time: f64, span: f64) -> f64 {
         let during = |of: &&Acceleration| of.times[0] <= time + span && of.times[1] >= time;
         let sizes = self.prescribed.iter().filter(during).map(|of| of.size);
-        sizes.fold(self.gravity, f64::max)
+        sizes.fold(self.domain.strongest_gravity([time, time + span]), f64::max)
     }
 
-    /// The time over which volume is controlled, s: sqrt(L / a) / 8, L the longest edge of the domain, a gravity, or without
+    /// The time over which volume is controlled, s: sqrt(L / a) / 8, L the longest edge of the domain, a the largest gravity, or without
     /// it the largest prescribed acceleration; without any L / (8 speed), infinite at rest.
     pub fn control_time(&self, speed: f64) -> f64 {
         let prescribed = self.prescribed.iter().map(|of| of.size);
-        let acceleration = match self.gravity {
+        let acceleration = match self.domain.strongest_gravity([0.0, f64::MAX]) {
             0.0 => prescribed.fold(0.0, f64::max),
             gravity => gravity,
         };

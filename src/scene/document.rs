@@ -14,6 +14,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::MeshFile;
 use super::suggestions::{Suggestion, suggestion};
+use super::without::{override_option, remove};
 use crate::error::Error;
 
 /// Origin of a value.
@@ -26,13 +27,13 @@ pub(super) enum Origin {
 }
 
 #[derive(Debug)]
-struct Node {
+pub(super) struct Node {
     origin: Origin,
-    content: Content,
+    pub(super) content: Content,
 }
 
 #[derive(Debug)]
-enum Content {
+pub(super) enum Content {
     Text(String),
     Integer(i64),
     Float(f64),
@@ -52,6 +53,31 @@ impl Content {
             Content::Date => "a date".to_owned(),
             Content::Array(items) => format!("a list of {}", items.len()),
             Content::Table(_) => "a table".to_owned(),
+        }
+    }
+
+    /// The value as TOML, the same for equal values.
+    pub(super) fn written(&self) -> String {
+        let list = |items: &mut dyn Iterator<Item = String>| items.collect::<Vec<_>>().join(", ");
+        match self {
+            Content::Text(text) => format!("{text:?}"),
+            Content::Integer(value) if value.unsigned_abs() < 1 << 53 => short(*value as f64),
+            Content::Integer(value) => value.to_string(),
+            Content::Float(value) => short(*value),
+            Content::Boolean(value) => value.to_string(),
+            Content::Date => self.describe(),
+            Content::Array(items) => {
+                format!(
+                    "[{}]",
+                    list(&mut items.iter().map(|item| item.content.written()))
+                )
+            }
+            Content::Table(entries) => {
+                let entries = entries.iter();
+                let mut entries =
+                    entries.map(|(name, node)| format!("{name} = {}", node.content.written()));
+                format!("{{ {} }}", list(&mut entries))
+            }
         }
     }
 }
@@ -77,30 +103,44 @@ impl Node {
 }
 
 impl Node {
-    /// The entry of a table or list one step below this node, which has the key `key`. Creates a missing table.
+    /// The entry of a table or list one step below this node, which has the key `key`, and the steps after it. Creates a missing table.
     ///
     /// # Errors
     /// Problem and cure.
-    fn entry(
+    fn entry<'s>(
         &mut self,
         key: &mut String,
-        step: Step,
+        (step, rest): (&Step, &'s [Step]),
         origin: Origin,
-    ) -> Result<&mut Node, [String; 2]> {
+    ) -> Result<(&mut Node, &'s [Step]), [String; 2]> {
         let described = self.content.describe();
-        match (step, &mut self.content) {
+        match (step.clone(), &mut self.content) {
             (Step::Key(name), Content::Table(entries)) => {
                 *key = join(key, &name);
                 let table = || Node {
                     origin,
                     content: Content::Table(BTreeMap::new()),
                 };
-                Ok(entries.entry(name).or_insert_with(table))
+                Ok((entries.entry(name).or_insert_with(table), rest))
             }
-            (Step::Key(name), Content::Array(items)) => Err([
-                format!("`{key}` is a list of {}", items.len()),
-                format!("select an entry: {key}[0].{name}"),
-            ]),
+            (Step::Key(name), Content::Array(items)) => {
+                let problem = format!("`{key}` is a list of {}", items.len());
+                let cure = format!("select an entry: {key}[0].{name}");
+                // The longest name, since names may have points.
+                let mut found = None;
+                let mut label = name;
+                for used in 0..=rest.len() {
+                    let at = items.iter().position(|item| item.label() == Some(&*label));
+                    found = at.map(|i| (i, used)).or(found);
+                    match rest.get(used) {
+                        Some(Step::Key(more)) => label = format!("{label}.{more}"),
+                        _ => break,
+                    }
+                }
+                let (i, used) = found.ok_or([problem, cure])?;
+                *key = format!("{key}[{i}]");
+                Ok((&mut items[i], &rest[used..]))
+            }
             (Step::Index(i), Content::Array(items)) => {
                 let n = items.len();
                 *key = format!("{key}[{i}]");
@@ -109,7 +149,8 @@ impl Node {
                     _ => format!("use an index from 0 to {}", n - 1),
                 };
                 let problem = format!("there is no `{key}`: the list has {n} entries");
-                items.get_mut(i).ok_or([problem, cure])
+                let item = items.get_mut(i).ok_or([problem, cure])?;
+                Ok((item, rest))
             }
             (Step::Index(_), Content::Table(entries)) if entries.is_empty() => Err([
                 format!("there is no list `{key}`"),
@@ -173,6 +214,8 @@ pub(super) struct Document {
     file: PathBuf,
     overrides: Vec<String>,
     root: Node,
+    /// What was removed because it refers to something that `--without` removed.
+    removed: Vec<String>,
     /// Whether this is an example of the format, whose mesh files do not exist.
     exemplar: bool,
     /// Keys and their queries, in order.
@@ -208,16 +251,40 @@ impl Document {
                 origin: Origin::Line(last_line),
                 content: Content::Table(BTreeMap::new()),
             },
+            removed: Vec::new(),
             exemplar: false,
             queries: RefCell::default(),
             mesh_files: RefCell::default(),
         };
         document.root.content =
             document.table(root.into_inner(), "", &|span| Origin::Line(line_of(span)))?;
-        for index in 0..overrides.len() {
-            document.apply_override(index)?;
+        let mut without = Vec::new();
+        for (index, setting) in overrides.iter().enumerate() {
+            match override_option(setting) {
+                ["--without", key] => without.push((setting, key)),
+                _ => document.apply_override(index)?,
+            }
+        }
+        if !without.is_empty() {
+            let keys: Vec<&str> = without.iter().map(|&(_, key)| key).collect();
+            let removed = remove(&mut document.root, &keys);
+            document.removed = removed.map_err(|(number, [problem, cure])| {
+                Error::input(option(without[number].0), problem, cure)
+            })?;
         }
         Ok(document)
+    }
+
+    /// What was removed because it refers to something that `--without` removed, by key or name.
+    pub(super) fn removed(&self) -> &[String] {
+        &self.removed
+    }
+
+    /// All values by key, as TOML.
+    pub(super) fn values(&self) -> BTreeMap<String, String> {
+        let mut values = BTreeMap::new();
+        self.root.collect_values("", &mut values);
+        values
     }
 
     pub(super) fn exemplar(text: &str) -> Result<Document, Error> {
@@ -359,9 +426,10 @@ impl Document {
         };
         let mut node = &mut self.root;
         let mut key = String::new();
-        for step in steps {
-            node = match node.entry(&mut key, step, origin) {
-                Ok(node) => node,
+        let mut steps = steps.as_slice();
+        while let Some((step, rest)) = steps.split_first() {
+            (node, steps) = match node.entry(&mut key, (step, rest), origin) {
+                Ok(next) => next,
                 Err([problem, cure]) => return refuse(problem, cure),
             };
         }
@@ -386,7 +454,7 @@ impl Document {
                 cure,
             },
             Origin::Set(index) => Error::Input {
-                what: format!("--set {}", self.overrides[index]),
+                what: option(&self.overrides[index]),
                 problem: format!("{key}: {problem}"),
                 cure,
             },
@@ -394,7 +462,13 @@ impl Document {
     }
 }
 
-enum Step {
+/// An override as on the command line.
+pub(super) fn option(setting: &str) -> String {
+    override_option(setting).join(" ")
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Step {
     Key(String),
     Index(usize),
 }

@@ -8,11 +8,14 @@ mod probe;
 mod read;
 pub mod schema;
 mod shape;
+mod slab;
 mod solid;
 mod sources_sinks;
 mod suggestions;
 mod surface;
+mod without;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
@@ -20,13 +23,15 @@ use glam::{DMat3, DVec3};
 use crate::grid::{Grid, Sides};
 
 pub use camera::PICTURE_SIDES;
-use document::Origin;
 pub use document::Origins;
+use document::{Origin, option};
 pub use merge::{Part, from_toml, merge};
 pub use mesh_file::MeshFile;
 pub use read::MAX_FRAMES;
 pub(crate) use read::MAX_VELOCITY;
 pub(crate) use shape::box_reaches;
+pub use slab::Slab;
+pub use without::{override_option, without};
 
 /// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
 #[derive(Clone, Debug)]
@@ -39,9 +44,15 @@ pub struct Scene {
     pub origins: Origins,
     /// SHA-256 of the file's text, all overrides and the scale, in hexadecimal.
     pub hash: String,
+    /// Values that the file and the overrides give, as TOML by dotted key. A list without tables is one value.
+    pub values: BTreeMap<String, String>,
+    /// SHA-256 of the mesh files, in hexadecimal, by their paths from the scene's folder.
+    pub meshes: BTreeMap<String, String>,
+    /// What was removed because it refers to something that an override removed ([`without`]), by key or name.
+    pub removed: Vec<String>,
     /// `--scale`, already applied to [`Domain::cells`].
     pub scale: f64,
-    /// `--set` overrides, as given.
+    /// `--set` overrides, as given, and removals ([`without`]).
     pub overrides: Vec<String>,
     /// Box, cells, gravity.
     pub domain: Domain,
@@ -76,10 +87,87 @@ pub struct Domain {
     pub size: DVec3,
     /// Cells along x, y, z; cubic to 1e-6.
     pub cells: [usize; 3],
-    /// Gravity, m/s^2.
+    /// Gravity, m/s^2. With keyframes that at the start, and in the scene of a backend its mean over the last sub-step.
     pub gravity: DVec3,
+    /// Gravity over time, ascending; empty if it is constant.
+    pub gravity_keyframes: Vec<VectorKeyframe>,
     /// Sides through which liquid leaves, with pressure 0.
     pub open: Sides,
+    /// Plane problem, if it is one.
+    pub slab: Option<Slab>,
+}
+
+/// A vector at one time. Linear between keyframes, constant before the first and after the last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VectorKeyframe {
+    /// s
+    pub time: f64,
+    /// In the unit of what it is for.
+    pub value: DVec3,
+}
+
+impl VectorKeyframe {
+    /// Value at a time (s) of at least one keyframe.
+    pub fn at(keyframes: &[VectorKeyframe], time: f64) -> DVec3 {
+        let after = keyframes.partition_point(|frame| frame.time <= time);
+        let last = keyframes.len() - 1;
+        let [a, b] = [after.saturating_sub(1), after.min(last)].map(|frame| keyframes[frame]);
+        match b.time > a.time {
+            true => a.value.lerp(
+                b.value,
+                ((time - a.time) / (b.time - a.time)).clamp(0.0, 1.0),
+            ),
+            false => a.value,
+        }
+    }
+
+    /// Mean between two times (s): an acceleration or a force has its exact impulse.
+    pub fn mean(keyframes: &[VectorKeyframe], [from, to]: [f64; 2]) -> DVec3 {
+        let at = |time| VectorKeyframe::at(keyframes, time);
+        if to <= from {
+            return at(from);
+        }
+        let within = keyframes.iter().map(|frame| frame.time);
+        let within = within.filter(|time| (from..to).contains(time));
+        let (mut sum, mut last) = (DVec3::ZERO, from);
+        for time in within.chain([to]) {
+            sum += 0.5 * (time - last) * (at(last) + at(time));
+            last = time;
+        }
+        sum / (to - from)
+    }
+}
+
+impl Domain {
+    /// Mean gravity between two times (s), m/s^2.
+    pub fn mean_gravity(&self, times: [f64; 2]) -> DVec3 {
+        match &self.gravity_keyframes[..] {
+            [] => self.gravity,
+            keyframes => VectorKeyframe::mean(keyframes, times),
+        }
+    }
+
+    /// Largest magnitude of gravity between two times (s), m/s^2.
+    pub fn strongest_gravity(&self, [from, to]: [f64; 2]) -> f64 {
+        let keyframes = &self.gravity_keyframes;
+        if keyframes.is_empty() {
+            return self.gravity.length();
+        }
+        // The magnitude of a linear function is largest at an end.
+        let within = keyframes
+            .iter()
+            .filter(|frame| (from..=to).contains(&frame.time));
+        let ends = [from, to].map(|time| VectorKeyframe::at(keyframes, time));
+        let all = within.map(|frame| frame.value).chain(ends);
+        all.map(DVec3::length).fold(0.0, f64::max)
+    }
+
+    /// Largest magnitude of each component of gravity at any time, m/s^2.
+    pub fn largest_gravity(&self) -> DVec3 {
+        let keyframes = self.gravity_keyframes.iter();
+        let all = keyframes.map(|frame| frame.value.abs());
+        all.reduce(DVec3::max).unwrap_or(self.gravity.abs())
+    }
 }
 
 /// Shortest sub-step over the duration.
@@ -293,6 +381,8 @@ pub struct Solid {
     pub mesh: SolidMesh,
     /// Placement of the mesh. The placed mesh is the stress-free rest shape.
     pub placement: Placement,
+    /// Factors of the placed mesh along the axes: 1 but across a [`Slab`].
+    pub stretch: DVec3,
     /// Difference of the initial state from rest.
     pub initial: Initial,
     /// kg/m^3
@@ -309,7 +399,7 @@ pub struct Solid {
     pub stiffness_damping: f64,
     /// Constrained or scripted nodes.
     pub pins: Vec<Pin>,
-    /// Constant forces.
+    /// Forces.
     pub loads: Vec<Load>,
 }
 
@@ -509,13 +599,15 @@ impl Keyframe {
     }
 }
 
-/// A constant force on a solid.
+/// A force on a solid.
 #[derive(Clone, Debug)]
 pub struct Load {
     /// Selects nodes with a rest position inside or on it.
     pub region: Shape,
-    /// Kind of load.
+    /// Kind of load. With keyframes it has the value of the start.
     pub kind: LoadKind,
+    /// Its force or traction over time; empty if it is constant.
+    pub keyframes: Vec<VectorKeyframe>,
 }
 
 /// Kind of load.
@@ -967,7 +1059,7 @@ impl Scene {
         let file = self.file.display();
         match self.origins.get(key) {
             Some(Origin::Line(line)) => format!("{file}:{line}: {key}"),
-            Some(Origin::Set(index)) => format!("--set {}: {key}", self.overrides[index]),
+            Some(Origin::Set(index)) => format!("{}: {key}", option(&self.overrides[index])),
             None => format!("{file}: {key}"),
         }
     }

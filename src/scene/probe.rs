@@ -22,23 +22,14 @@ const PROBE: Keys = Keys::new(&[
     "node_velocity",
     "solid",
     "solid_velocity",
-    "force",
+    FORCE_MEASUREMENT,
     "reaction",
 ]);
-const LIQUID_MEASUREMENTS: [&str; 5] = ["height", "pressure", "velocity", "front", "flux"];
-const MEASUREMENTS: [&str; 11] = [
-    "height",
-    "pressure",
-    "velocity",
-    "front",
-    "flux",
-    "node",
-    "node_velocity",
-    "solid",
-    "solid_velocity",
-    "force",
-    "reaction",
-];
+/// All measurements: those of liquid alone first.
+pub(super) const MEASUREMENTS: &[&str] = PROBE.valid.split_at(1).1;
+pub(super) const LIQUID_MEASUREMENTS: &[&str] = MEASUREMENTS.split_at(5).0;
+/// The measurement of liquid and solids.
+pub(super) const FORCE_MEASUREMENT: &str = "force";
 /// Values of `front.axis`: the axis, and whether it is the smallest coordinate.
 const FRONT_AXES: [(&str, (usize, bool)); 6] = [
     ("x", (0, false)),
@@ -102,7 +93,7 @@ fn measurement(
     has_liquid: bool,
     solids: &[Solid],
 ) -> Result<ProbeKind, Error> {
-    let (kind, place) = table.one_of(&MEASUREMENTS, "measurement")?;
+    let (kind, place) = table.one_of(MEASUREMENTS, "measurement")?;
     if LIQUID_MEASUREMENTS.contains(&kind) {
         let cure = "measure a solid: node = { solid, rest_point } or solid = { name }";
         place.ensure(has_liquid, "measures liquid, and the scene has none", cure)?;
@@ -111,7 +102,7 @@ fn measurement(
         let problem = "measures a solid, and the scene has no [[solid]]";
         place.ensure(!solids.is_empty(), problem, cure)?;
     }
-    if kind == "force" {
+    if kind == FORCE_MEASUREMENT {
         let problem = "measures the force of liquid, and the scene has none";
         place.ensure(has_liquid, problem, "add a [liquid] section with a region")?;
     }
@@ -153,7 +144,7 @@ fn measurement(
                 region: region.transpose()?,
             }
         }
-        "force" => ProbeKind::Force {
+        FORCE_MEASUREMENT => ProbeKind::Force {
             solid: solid_named(&place.table(&FORCE)?, "solid", solids)?,
         },
         _ => ProbeKind::Solid {

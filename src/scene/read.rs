@@ -1,5 +1,6 @@
 //! Converts the tree of a scene file to a checked [`Scene`].
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -9,7 +10,8 @@ use sha2::{Digest, Sha256};
 use super::camera::camera;
 use super::document::{Document, Keys, Place, Table};
 use super::probe::probes;
-use super::shape::{ensure_in_domain, keyframes, placement, shape, solitary};
+use super::shape::{ensure_in_domain, keyframes, placement, shape, solitary, vector_keyframes};
+use super::slab::{self, Slab};
 use super::solid::solids;
 use super::sources_sinks::{sinks, sources};
 use super::surface::surface;
@@ -51,7 +53,15 @@ const ROOT: Keys = Keys::new(&[
     "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver", "output",
     "camera", "surface",
 ]);
-const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "open"]);
+const DOMAIN: Keys = Keys::new(&[
+    "size",
+    "cells",
+    "gravity",
+    "gravity_keyframes",
+    "open",
+    "slab",
+]);
+const GRAVITY_KEYFRAME: Keys = Keys::new(&["t", "gravity"]);
 const TIME: Keys = Keys::new(&[
     "duration",
     "frames_per_second",
@@ -180,11 +190,15 @@ impl Scene {
             true => Vec::new(),
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
-        let scene = Scene {
+        let meshes = contents(&meshes)?;
+        let mut scene = Scene {
             name: scene_name(path)?,
             file: path.to_owned(),
             origins: document.origins(),
-            hash: hash(text, overrides, scale, &meshes)?,
+            hash: hash(text, overrides, scale, &meshes),
+            values: document.values(),
+            meshes: mesh_hashes(path, &meshes),
+            removed: document.removed().to_vec(),
             scale,
             overrides: overrides.to_vec(),
             solver: solver(
@@ -205,10 +219,11 @@ impl Scene {
             )?,
             liquid,
             solids,
-            camera: camera(&root, &domain, &time)?,
+            camera: camera(&root, &domain.stretched(), &time)?,
             time,
             domain,
         };
+        slab::stretch(&mut scene)?;
         Ok(scene)
     }
 }
@@ -307,8 +322,20 @@ fn scene_name(path: &Path) -> Result<String, Error> {
     ))
 }
 
+/// Contents of the mesh files.
+fn contents<'a>(meshes: &[&'a Path]) -> Result<Vec<(&'a Path, Vec<u8>)>, Error> {
+    let read = |&mesh: &&'a Path| {
+        let bytes = std::fs::read(mesh).map_err(|problem| {
+            let cure = "give a readable mesh file";
+            Error::input(mesh.display().to_string(), problem.to_string(), cure)
+        })?;
+        Ok((mesh, bytes))
+    };
+    meshes.iter().map(read).collect()
+}
+
 /// SHA-256 of all inputs of the scene. Each part is preceded by its length, so that parts cannot run together.
-fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[&Path]) -> Result<String, Error> {
+fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[(&Path, Vec<u8>)]) -> String {
     let mut digest = Sha256::new();
     let mut add = |part: &[u8]| {
         digest.update((part.len() as u64).to_le_bytes());
@@ -316,19 +343,29 @@ fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[&Path]) -> Resul
     };
     add(text.as_bytes());
     overrides.iter().for_each(|part| add(part.as_bytes()));
-    for mesh in meshes {
-        let bytes = std::fs::read(mesh).map_err(|problem| {
-            let cure = "give a readable mesh file";
-            Error::input(mesh.display().to_string(), problem.to_string(), cure)
-        })?;
-        add(&bytes);
-    }
+    meshes.iter().for_each(|(_, bytes)| add(bytes));
     digest.update(scale.to_le_bytes());
-    let bytes = digest.finalize();
-    Ok(bytes.iter().fold(String::new(), |mut hex, byte| {
+    hexadecimal(&digest.finalize())
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut hex, byte| {
         write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
         hex
-    }))
+    })
+}
+
+/// SHA-256 of each mesh file by its path from the folder of the scene.
+fn mesh_hashes(scene: &Path, meshes: &[(&Path, Vec<u8>)]) -> BTreeMap<String, String> {
+    let folder = scene.parent().unwrap_or(Path::new(""));
+    let hash = |(mesh, bytes): &(&Path, Vec<u8>)| {
+        let mesh = mesh.strip_prefix(folder).unwrap_or(mesh);
+        (
+            mesh.display().to_string(),
+            hexadecimal(&Sha256::digest(bytes)),
+        )
+    };
+    meshes.iter().map(hash).collect()
 }
 
 /// The files of all meshes, in the order of the scene.
@@ -361,10 +398,21 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
 
     let cells_place = table.required("cells", "cells = [32, 32, 32]")?;
     let unscaled = cells_place.counts("the cells along x, y, z", 1, MAX_CELLS_PER_AXIS)?;
-    if !cubic(size, unscaled) {
+    let across = table.get("slab").map(|place| slab_axis(&place, unscaled));
+    let across = across.transpose()?;
+    // The thickness of a slab follows from its cells.
+    let cut = |cells: [usize; 3]| {
+        let mut cut = size;
+        if let Some(axis) = across {
+            let other = (axis + 1) % 3;
+            cut[axis] = size[other] / cells[other] as f64 * cells[axis] as f64;
+        }
+        cut
+    };
+    if !cubic(cut(unscaled), unscaled) {
         let edges = DVec3::from_array(unscaled.map(|n| n as f64));
-        let [x, y, z] = (size / edges).to_array();
-        let cure = match cubic_cells(size, unscaled) {
+        let [x, y, z] = (cut(unscaled) / edges).to_array();
+        let cure = match cubic_cells(cut(unscaled), unscaled) {
             Some(cells) => format!("use cells = {}", list(cells)),
             None => {
                 let dx = size.x / edges.x;
@@ -379,7 +427,10 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         return Err(place.fail(format!("cells of {x} x {y} x {z} m are not cubic"), cure));
     }
 
-    let cells = unscaled.map(|n| (n as f64 * scale).round().max(1.0));
+    let mut cells = unscaled.map(|n| (n as f64 * scale).round().max(1.0));
+    if let Some(axis) = across {
+        cells[axis] = unscaled[axis] as f64;
+    }
     let count: f64 = cells.iter().product();
     if count > MAX_CELLS || cells.iter().any(|&n| n > MAX_CELLS_PER_AXIS as f64) {
         let problem = format!("{} are {count} cells, more than {MAX_CELLS}", list(cells));
@@ -390,14 +441,37 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         });
     }
     let cells = cells.map(|n| n as usize);
-    if !cubic(size, cells) {
+    let slab = across.map(|axis| {
+        let stretch = cut(cells)[axis] / size[axis];
+        let stretch = match (stretch - 1.0).abs() <= CUBIC {
+            true => 1.0,
+            false => stretch,
+        };
+        Slab { axis, stretch }
+    });
+    if !cubic(cut(cells), cells) {
+        let mut plane = unscaled;
+        if let Some(axis) = across {
+            plane[axis] = unscaled[(axis + 1) % 3];
+        }
         return Err(Error::input(
             format!("--scale {scale}"),
             format!("domain.cells would be {}, which are not cubic", list(cells)),
-            format!("use --scale {}", working_scale(unscaled, scale)),
+            format!("use --scale {}", working_scale(plane, scale)),
         ));
     }
-    let gravity = table.optional("gravity", DVec3::new(0.0, -9.81, 0.0), |place| {
+    let gravity_keyframes = table.optional("gravity_keyframes", Vec::new(), |place| {
+        place.ensure(
+            table.get("gravity").is_none(),
+            "conflicts with `gravity`: both are the gravity",
+            "keep one of them",
+        )?;
+        let example = "gravity_keyframes = [{ t = 0, gravity = [0, -9.81, 0] }, { t = 1, gravity = [5, -8, 0] }]";
+        vector_keyframes(&place, (&GRAVITY_KEYFRAME, example), "gravity in m/s^2", MAX_GRAVITY)
+    })?;
+    let first = gravity_keyframes.first();
+    let gravity = first.map_or(DVec3::new(0.0, -9.81, 0.0), |frame| frame.value);
+    let gravity = table.optional("gravity", gravity, |place| {
         bounded(&place, "gravity in m/s^2", MAX_GRAVITY)
     })?;
     let open = table.optional("open", Sides::default(), |place| open_sides(&place, root))?;
@@ -405,8 +479,22 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         size,
         cells,
         gravity,
+        gravity_keyframes,
         open,
+        slab,
     })
+}
+
+/// The axis across a slab of a domain with these cells.
+fn slab_axis(place: &Place, cells: [usize; 3]) -> Result<usize, Error> {
+    let axis = place.choice(&[("x", 0), ("y", 1), ("z", 2)])?;
+    let most = slab::MAX_CELLS;
+    place.ensure(
+        cells[axis] <= most,
+        format!("is {} cells thick", cells[axis]),
+        format!("let domain.cells have at most {most} along this axis"),
+    )?;
+    Ok(axis)
 }
 
 fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {

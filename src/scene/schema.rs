@@ -12,10 +12,11 @@ use super::document::{Document, Query, join};
 use crate::error::Error;
 
 /// Scenes that together have every key of the format. A required key is required in all of them. Their mesh files do not exist.
-pub const EXEMPLARS: [&str; 3] = [
+pub const EXEMPLARS: [&str; 4] = [
     include_str!("exemplars/both.toml"),
     include_str!("exemplars/liquid.toml"),
     include_str!("exemplars/solids.toml"),
+    include_str!("exemplars/slab.toml"),
 ];
 const PAGE: &str = include_str!("../../docs/scene.md");
 /// Tables that contain shapes. [`PAGE`] describes shapes in one place.

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
-use super::read::list;
-use super::{Keyframe, MeshFile, Motion, Placement, Shape, SolitaryWave};
+use super::read::{bounded, list};
+use super::{Keyframe, MeshFile, Motion, Placement, Shape, SolitaryWave, VectorKeyframe};
 use crate::error::Error;
 
 const PLACEMENT: Keys = Keys::new(&["at", "translate", "rotate", "scale"]);
@@ -276,9 +276,48 @@ fn rotation(place: Place) -> Result<(DVec3, f64), Error> {
 pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
     let example = "keyframes = [{ t = 0 }, { t = 1, translate = [0, 0.1, 0] }]";
     let places = table.required("keyframes", example)?;
-    let mut keyframes: Vec<Keyframe> = Vec::new();
+    over_time(&places, &KEYFRAME, example, |table, time| {
+        let translate = table.optional("translate", DVec3::ZERO, |place| {
+            place.vector("a translation from rest in m")
+        })?;
+        let (axis, angle) = table.optional("rotate", (DVec3::Y, 0.0), rotation)?;
+        Ok(Keyframe {
+            time,
+            translate,
+            axis,
+            angle,
+        })
+    })
+}
+
+/// Keyframes of a vector: `t`, and its key after that in `keys`.
+pub(super) fn vector_keyframes(
+    places: &Place,
+    (keys, example): (&Keys, &str),
+    what: &str,
+    most: f64,
+) -> Result<Vec<VectorKeyframe>, Error> {
+    over_time(places, keys, example, |table, time| {
+        let name = keys.valid[1];
+        let value = table.required(name, &format!("{name} = [0, -1, 0], {what}"))?;
+        Ok(VectorKeyframe {
+            time,
+            value: bounded(&value, what, most)?,
+        })
+    })
+}
+
+/// The entries of a list of keyframes, at least one, ascending in time. `read` gets their tables and times (s).
+fn over_time<T>(
+    places: &Place,
+    keys: &Keys,
+    example: &str,
+    read: impl Fn(&Table, f64) -> Result<T, Error>,
+) -> Result<Vec<T>, Error> {
+    let mut last = None;
+    let mut entries = Vec::new();
     for place in places.list()? {
-        let table = place.table(&KEYFRAME)?;
+        let table = place.table(keys)?;
         let time_place = table.required("t", "t = 0.5, in s")?;
         let time = time_place.number("the time of the keyframe in s")?;
         time_place.ensure(
@@ -286,33 +325,22 @@ pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
             format!("is {time}, before the start"),
             "write a time of 0 s or later",
         )?;
-        if let Some(last) = keyframes.last() {
+        if let Some(last) = last {
             time_place.ensure(
-                time > last.time,
-                format!(
-                    "{time} s is not later than the keyframe before, {} s",
-                    last.time
-                ),
+                time > last,
+                format!("{time} s is not later than the keyframe before, {last} s"),
                 "write the keyframes in ascending order of time",
             )?;
         }
-        let translate = table.optional("translate", DVec3::ZERO, |place| {
-            place.vector("a translation from rest in m")
-        })?;
-        let (axis, angle) = table.optional("rotate", (DVec3::Y, 0.0), rotation)?;
-        keyframes.push(Keyframe {
-            time,
-            translate,
-            axis,
-            angle,
-        });
+        last = Some(time);
+        entries.push(read(&table, time)?);
     }
     places.ensure(
-        !keyframes.is_empty(),
+        !entries.is_empty(),
         "has no entry",
         format!("write {example}"),
     )?;
-    Ok(keyframes)
+    Ok(entries)
 }
 
 /// Whether a box (m) and the domain have an interior point in common.

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
 use super::read::{MAX_VELOCITY, bounded, density, list, unique_name};
-use super::shape::{keyframes, mesh_file, placement, shape, surface_file, unit};
+use super::shape::{keyframes, mesh_file, placement, shape, surface_file, unit, vector_keyframes};
 use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
 use crate::error::Error;
 
@@ -47,7 +47,16 @@ const VELOCITY_GRADIENT: Keys = Keys::new(&["x", "y", "z"]);
 const DAMPING: Keys = Keys::new(&["mass", "stiffness"]);
 const PIN: Keys = Keys::new(&["region", "components"]);
 const SCRIPT: Keys = Keys::new(&["region", "components", "keyframes", "pivot"]);
-const LOAD: Keys = Keys::new(&["region", "force", "traction"]);
+const LOAD: Keys = Keys::new(&[
+    "region",
+    "force",
+    "traction",
+    "force_keyframes",
+    "traction_keyframes",
+]);
+const LOAD_KINDS: [&str; 4] = ["force", "traction", "force_keyframes", "traction_keyframes"];
+const FORCE_KEYFRAME: Keys = Keys::new(&["t", "force"]);
+const TRACTION_KEYFRAME: Keys = Keys::new(&["t", "traction"]);
 /// Shapes that select nodes.
 const REGION_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "half_space"];
 const REGION: Keys = Keys::new(&REGION_SHAPES);
@@ -96,6 +105,7 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
         name: name.to_owned(),
         mesh,
         placement,
+        stretch: DVec3::ONE,
         initial,
         density: density(&density_place, "rubber has 1100")?,
         young: young_place.positive_within(
@@ -378,20 +388,34 @@ fn script(place: Place, file: &Path) -> Result<Pin, Error> {
 
 fn load(place: Place, file: &Path) -> Result<Load, Error> {
     let table = place.table(&LOAD)?;
-    let (kind, place) = table.one_of(&["force", "traction"], "kind of load")?;
+    let (kind, place) = table.one_of(&LOAD_KINDS, "kind of load")?;
+    let is_force = kind.starts_with("force");
+    let what = match is_force {
+        true => "the force on all nodes together in N",
+        false => "the traction in Pa of rest area",
+    };
+    let keyframes = match kind {
+        "force_keyframes" => {
+            let example =
+                "force_keyframes = [{ t = 0, force = [0, 0, 0] }, { t = 1, force = [0, -1, 0] }]";
+            vector_keyframes(&place, (&FORCE_KEYFRAME, example), what, MAX_STRESS)?
+        }
+        "traction_keyframes" => {
+            let example = "traction_keyframes = [{ t = 0, traction = [0, 0, 0] }, { t = 1, traction = [0, -1, 0] }]";
+            vector_keyframes(&place, (&TRACTION_KEYFRAME, example), what, MAX_STRESS)?
+        }
+        _ => Vec::new(),
+    };
+    let value = match keyframes.first() {
+        Some(first) => first.value,
+        None => bounded(&place, what, MAX_STRESS)?,
+    };
     Ok(Load {
         region: node_region(&table, file)?,
-        kind: match kind {
-            "force" => LoadKind::Force(bounded(
-                &place,
-                "the force on all nodes together in N",
-                MAX_STRESS,
-            )?),
-            _ => LoadKind::Traction(bounded(
-                &place,
-                "the traction in Pa of rest area",
-                MAX_STRESS,
-            )?),
+        kind: match is_force {
+            true => LoadKind::Force(value),
+            false => LoadKind::Traction(value),
         },
+        keyframes,
     })
 }

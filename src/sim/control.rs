@@ -14,7 +14,7 @@ use crate::scene::{Keyframe, MAX_VELOCITY, Scene};
 const SAME_POSE: f64 = 1e-9;
 
 impl Simulation {
-    /// Sets gravity, m/s^2. Probes of heights keep their direction.
+    /// Sets gravity, m/s^2, in place of keyframes. Probes of heights keep their direction.
     ///
     /// # Errors
     /// [`Error::Input`] for numbers that are not finite.
@@ -27,6 +27,7 @@ impl Simulation {
             ));
         }
         self.scene.domain.gravity = gravity;
+        self.scene.domain.gravity_keyframes.clear();
         self.follow();
         Ok(())
     }

@@ -354,14 +354,17 @@ impl GpuCoupling {
             return Ok(());
         };
         self.on_device.write(gpu, &self.clip, triangles, false);
-        if let Some(patch_pressure) = &self.stages.patch_pressure {
+        if self.stages.patch_pressure.is_some() {
             let moments = self.moments(&grid, triangles);
             let scale = if dt_last > 0.0 {
                 density / dt_last
             } else {
                 0.0
             };
-            patch_pressure.write(gpu, &pairs, &moments, scale);
+            let at_rest = slopes(scene, liquid).0;
+            if let Some(patch_pressure) = &mut self.stages.patch_pressure {
+                patch_pressure.write(gpu, &pairs, &moments, (at_rest, scale));
+            }
         }
         Ok(())
     }

@@ -602,7 +602,10 @@ impl GpuLiquid {
         let Scene { domain, solver, .. } = scene;
         let (grid, effects) = (scene.grid(), &self.buffers.plan.effects);
         Step {
-            gravity: domain.gravity.as_vec3().to_array(),
+            gravity: domain
+                .mean_gravity([head.time, head.time + dt])
+                .as_vec3()
+                .to_array(),
             dt: dt as f32,
             size: grid.size().as_vec3().to_array(),
             dx: grid.dx as f32,

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use glam::DVec3;
+
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{NodeReadback, Solids};
@@ -379,6 +381,7 @@ impl GpuPath {
 
     /// Writes the parameters of a sub-step.
     pub(super) fn write_step(&mut self, time_step: TimeStep) -> Result<(), Error> {
+        self.scene.domain.gravity = self.gravity(time_step);
         if let Some(liquid) = &mut self.liquid {
             liquid.begin(&self.gpu, &self.head, time_step)?;
             let step = liquid.step_numbers(&self.scene, &self.head, time_step);
@@ -388,6 +391,17 @@ impl GpuPath {
             solids.write_step(&self.gpu, &self.scene, &self.head, time_step.dt);
         }
         Ok(())
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Mean gravity of the next sub-step, m/s^2.
+    pub fn gravity(&self, time_step: TimeStep) -> DVec3 {
+        let time = self.head.time;
+        self.scene.domain.mean_gravity([time, time + time_step.dt])
     }
 
     /// Parameters of the liquid for a sub-step; `None` without liquid.

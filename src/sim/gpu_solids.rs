@@ -434,6 +434,9 @@ impl GpuSolids {
     pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, clock: &State, dt: f64) {
         let step = self.buffers.step_of(scene.domain.gravity, dt);
         gpu.upload(&self.buffers.step, &[step]);
+        if self.solids.set_load([clock.time, clock.time + dt]) {
+            self.buffers.write_load(gpu, &self.solids);
+        }
         self.move_obstacles(gpu, clock.time, dt);
         let Scripted {
             displacement,

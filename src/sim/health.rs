@@ -164,7 +164,8 @@ fn failure(
         corners.map(|node| solids.rest[node] + glam::DVec3::from(state.displacement[node]));
     let at = places.into_iter().sum::<glam::DVec3>() / 4.0;
     let pressure = scene.liquid.as_ref().map_or(0.0, |liquid| {
-        2.0 * liquid.density * scene.domain.gravity.length() * depth(scene, state)
+        let gravity = scene.domain.largest_gravity().length();
+        2.0 * liquid.density * gravity * depth(scene, state)
     });
     let stiffer = match pressure > scene.solids[number].young {
         true => format!(
@@ -192,8 +193,7 @@ fn failure(
 /// energy, m/s. `None` if nothing moves it.
 fn expected_speed(scene: &Scene) -> Option<f64> {
     let size = scene.grid().size();
-    let gravity = scene.domain.gravity;
-    let fall = (2.0 * gravity.abs().dot(size)).sqrt();
+    let fall = (2.0 * scene.domain.largest_gravity().dot(size)).sqrt();
     let most = |speeds: &mut dyn Iterator<Item = f64>| speeds.fold(0.0, f64::max);
     let path = |keyframes: &[Keyframe]| {
         let speeds = keyframes.windows(2).map(|pair| {
@@ -220,7 +220,9 @@ fn expected_speed(scene: &Scene) -> Option<f64> {
         let scripts = most(&mut solid.pins.iter().map(|pin| path(&pin.keyframes)));
         // A deformed or loaded body can move at its sound speed times its strain; a strain of order one bounds loads.
         let loaded = solid.loads.iter().any(|load| match load.kind {
-            LoadKind::Force(force) | LoadKind::Traction(force) => force != glam::DVec3::ZERO,
+            LoadKind::Force(force) | LoadKind::Traction(force) => {
+                force != glam::DVec3::ZERO || !load.keyframes.is_empty()
+            }
         });
         let elastic = match initial.scale != glam::DVec3::ONE || loaded {
             true => (solid.young / solid.density).sqrt(),

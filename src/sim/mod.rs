@@ -110,7 +110,7 @@ impl Simulation {
     /// # Errors
     /// [`Error::Stage`] when the solve breaks down or a value is not finite, [`Error::Gpu`] when the device fails.
     pub fn step(&mut self) -> Result<StepReport, Error> {
-        let step = self.clock().step;
+        let Clock { step, time, .. } = self.clock();
         let report = match &mut self.path {
             Path::Gpu(path) => path.step(path.next_time_step(), None)?,
             Path::Cpu(path) => {
@@ -118,6 +118,11 @@ impl Simulation {
                 path.step(time_step)?
             }
         };
+        // For probes of reactions.
+        let times = [time, self.clock().time];
+        let domain = &mut self.scene.domain;
+        domain.gravity = domain.mean_gravity(times);
+        self.solids.set_load(times);
         let solves = [
             ("pressure", report.liquid.map(|liquid| liquid.solve)),
             ("solid", report.solid.map(|solid| solid.solve)),
@@ -174,10 +179,18 @@ impl Simulation {
         };
         let mut liquid = liquid.into_iter();
         let values = probes.iter().enumerate().flat_map(|(number, probe)| {
-            match probe.kind.measures_liquid() {
+            let mut values: Vec<f64> = match probe.kind.measures_liquid() {
                 true => liquid.by_ref().take(probe.columns().len()).collect(),
                 false => self.solids.probe(&self.scene, number, &nodes),
+            };
+            let slab = self.scene.domain.slab;
+            if let Some(factors) = slab.and_then(|slab| slab.probe_factors(&probe.kind)) {
+                values
+                    .iter_mut()
+                    .zip(factors)
+                    .for_each(|(value, factor)| *value *= factor);
             }
+            values
         });
         Ok(values.collect())
     }

@@ -1,6 +1,7 @@
 //! The run loop: frames, tables, checkpoints and the manifest of a simulation, from its beginning or from a
 //! checkpoint.
 
+use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +13,8 @@ use crate::gpu::AdapterReport;
 use crate::output::checkpoint::Checkpoint;
 use crate::output::frames::{FrameKinds, FrameWriter};
 use crate::output::manifest::{
-    AdapterRecord, EarlierAdapter, Manifest, RunOptions, RunStatus, SolidHealth, Tally,
+    AdapterRecord, CameraRecord, EarlierAdapter, Manifest, RunOptions, RunStatus, SceneRecord,
+    SolidHealth, SurfaceRecord, Tally,
 };
 use crate::output::tables::{ProbeTable, StepRow, StepTable};
 use crate::output::{FolderLock, is_partial};
@@ -80,6 +82,8 @@ pub struct Resumed {
     pub frames: u64,
     /// The adapter of the earlier part if it differs. Later results then differ by rounding.
     pub other_adapter: Option<String>,
+    /// Whether skins were removed: of frames that were computed again, or animations without the later frames.
+    pub skins_removed: bool,
 }
 
 /// Start of a run.
@@ -148,6 +152,7 @@ impl Start {
         let checkpoint = Checkpoint::read(out)?;
         if let Some(Checkpoint { manifest, .. }) = &checkpoint {
             manifest.ensure_same_run(scene, backend, &path)?;
+            manifest.ensure_same_frames(scene, &path)?;
         }
         // If the manifest is lost, the checkpoint's copy suffices.
         let manifest = match Manifest::read(out) {
@@ -157,6 +162,7 @@ impl Start {
         };
         if let Some(manifest) = &manifest {
             manifest.ensure_same_run(scene, backend, &manifest_path)?;
+            manifest.ensure_same_frames(scene, &manifest_path)?;
         }
         let finished = manifest.filter(|manifest| manifest.progress.status == RunStatus::Finished);
         let checkpointed = checkpoint.as_ref().map(|checkpoint| checkpoint.state.frame);
@@ -204,8 +210,8 @@ pub fn run(
     let scene = &longer;
     let lock = out.exists().then(|| FolderLock::take(out)).transpose()?;
     let mut start = Start::find(scene, options, n_frames)?;
-    if let Start::Finished(manifest) = &start {
-        return Ok(Summary::finished(manifest));
+    if let Start::Finished(manifest) = start {
+        return finished(scene, out, *manifest);
     }
     let mut simulation = Simulation::new(scene, &options.backend)?;
     if interrupt.load(Ordering::Relaxed) {
@@ -233,7 +239,7 @@ pub fn run(
         .with_solids(scene, simulation.solids())?;
     let (mut empty_regions, mut resumed) = (Vec::new(), None);
     let from = match start {
-        Start::Finished(manifest) => return Ok(Summary::finished(&manifest)),
+        Start::Finished(manifest) => return finished(scene, out, *manifest),
         Start::Anew(earlier) => {
             prepare_folder(out, earlier.map(|earlier| *earlier))?;
             empty_regions = geometry::empty_regions(scene, &simulation.state()?.markers)?;
@@ -251,6 +257,9 @@ pub fn run(
     };
     let health = Health::new(scene, options.keep_going);
     let mut recording = Recording::begin(scene, out, manifest, (from, health))?;
+    if let Some(resumed) = &mut resumed {
+        resumed.skins_removed = recording.skins_removed;
+    }
     let outcome = match from {
         None => recording.frame(&simulation, n_frames),
         Some(_) => Ok(()),
@@ -321,6 +330,7 @@ impl Summary {
             resumed: Some(Resumed {
                 frames: manifest.options.frames,
                 other_adapter: None,
+                skins_removed: false,
             }),
             ..Summary::of(manifest)
         }
@@ -338,9 +348,9 @@ fn update_manifest(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64)
     let solids = &mut manifest.progress.solids;
     solids.resize(manifest.solids.len(), SolidHealth::default());
     let n_frames = manifest.options.frames;
-    // The last frame of a shorter run may not be due in a longer one.
+    // The last frame of a shorter run may not be due in a longer one. All others stay, also if `every` has changed.
     let written = &mut manifest.progress.frames_written;
-    written.retain(|&frame| has_place(frame, every, n_frames));
+    written.retain(|&frame| has_place(frame, every, n_frames) || !before.is_extra(frame));
     manifest
         .earlier_adapters
         .clone_from(&before.earlier_adapters);
@@ -356,7 +366,24 @@ fn update_manifest(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64)
     Resumed {
         frames: state.frame,
         other_adapter,
+        skins_removed: false,
     }
+}
+
+/// Summary of a finished run. Its manifest gets the edits of the scene that a resumed run may have.
+fn finished(scene: &Scene, out: &Path, mut manifest: Manifest) -> Result<Summary, Error> {
+    let record = SceneRecord::from(scene);
+    if manifest.scene != record {
+        manifest.scene = record;
+        manifest.options.overrides.clone_from(&scene.overrides);
+        manifest.camera = CameraRecord::from(&scene.camera);
+        let surface = manifest.surface.as_mut();
+        surface
+            .into_iter()
+            .for_each(|surface| *surface = SurfaceRecord::from(&scene.surface));
+        manifest.write(out)?;
+    }
+    Ok(Summary::finished(&manifest))
 }
 
 /// Whether a run of `n_frames` writes a frame.
@@ -378,17 +405,40 @@ fn frame_of(file: &str, scene: &str) -> Option<u64> {
     number.parse().ok()
 }
 
-/// Deletes files and pictures of frames that an earlier part of the run has written and this part will not write.
-fn remove_frames_without_place(out: &Path, scene: &Scene, n_frames: u64) -> Result<(), Error> {
+/// Deletes files and pictures of frames that an earlier part of the run has written and this part will not write, and skins that do not
+/// fit the resumed run. Returns whether there were such skins. `manifest`: frames written up to the checkpoint in frame `resumed`.
+fn remove_frames_without_place(
+    out: &Path,
+    scene: &Scene,
+    manifest: &Manifest,
+    resumed: u64,
+) -> Result<bool, Error> {
     remove_partial(out)?;
-    let without_place = |name: &str| {
-        let frame = frame_of(name, &scene.name);
-        frame.is_some_and(|frame| !has_place(frame, scene.output.every, n_frames))
+    let stays = |frame: u64| match frame <= resumed {
+        true => manifest.progress.frames_written.contains(&frame),
+        false => has_place(frame, scene.output.every, manifest.options.frames),
     };
+    let without_place = |name: &str| frame_of(name, &scene.name).is_some_and(|frame| !stays(frame));
     for folder in ["frames", "preview"] {
         remove(&out.join(folder), &without_place)?;
     }
-    Ok(())
+    let skins = Cell::new(false);
+    let stale = |name: &str| {
+        let stale = manifest.solids.iter().any(|solid| {
+            let skin = name.strip_prefix(&format!("{}_{}", scene.name, solid.name));
+            skin.is_some_and(|skin| {
+                let number = skin
+                    .strip_prefix('_')
+                    .and_then(|skin| skin.strip_suffix(".ply"));
+                let number = number.and_then(|number| number.parse().ok());
+                skin == ".glb" || number.is_some_and(|frame| frame > resumed || !stays(frame))
+            })
+        });
+        skins.set(skins.get() || stale);
+        stale
+    };
+    remove(&out.join("frames"), &stale)?;
+    Ok(skins.get())
 }
 
 /// Creates the folder and deletes the earlier run, whose frames would mix with the new ones.
@@ -448,9 +498,10 @@ fn remove(folder: &Path, meant: &dyn Fn(&str) -> bool) -> Result<(), Error> {
     fs::remove_dir(folder).map_err(|problem| Error::unwritten(folder, &problem))
 }
 
-/// Lengths of the tables, bytes.
+/// Frame of a checkpoint, and lengths of the tables then, bytes.
 #[derive(Clone, Copy, Debug)]
 struct TablesAt {
+    frame: u64,
     steps: u64,
     probes: u64,
 }
@@ -458,6 +509,7 @@ struct TablesAt {
 impl TablesAt {
     fn of(checkpoint: &Checkpoint) -> TablesAt {
         TablesAt {
+            frame: checkpoint.state.frame,
             steps: checkpoint.steps_bytes,
             probes: checkpoint.probes_bytes,
         }
@@ -479,6 +531,8 @@ struct Recording<'a> {
     health: Health,
     /// The last state for a checkpoint that is not yet on disk.
     unsaved: Option<Checkpoint>,
+    /// Whether skins of an earlier part were removed.
+    skins_removed: bool,
 }
 
 impl<'a> Recording<'a> {
@@ -503,8 +557,9 @@ impl<'a> Recording<'a> {
             None => Some(ProbeTable::create(out, &scene.probes)?),
             Some(at) => Some(ProbeTable::resume(out, &scene.probes, at.probes)?),
         };
-        if from.is_some() {
-            remove_frames_without_place(out, scene, manifest.options.frames)?;
+        let mut skins_removed = false;
+        if let Some(at) = from {
+            skins_removed = remove_frames_without_place(out, scene, &manifest, at.frame)?;
             manifest.write(out)?;
         }
         let kinds = FrameKinds::of(scene);
@@ -525,6 +580,7 @@ impl<'a> Recording<'a> {
             manifest,
             health,
             unsaved: None,
+            skins_removed,
             scene,
             out,
         })

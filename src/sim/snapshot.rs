@@ -458,9 +458,7 @@ impl SolidSnapshot {
         for volume in &mut device.volume {
             *volume = round(*volume);
         }
-        for load in &mut device.load {
-            *load = rounded(load);
-        }
+        self.round_load(&mut device);
         for body in &mut device.bodies {
             body.lambda = round(body.lambda);
             body.mu = round(body.mu);
@@ -468,6 +466,15 @@ impl SolidSnapshot {
             body.stiffness_damping = single(body.stiffness_damping);
         }
         device
+    }
+
+    /// Rounds the loads of solids as on the device.
+    pub fn round_load(&self, solids: &mut Solids) {
+        if self.real == Real::F32 {
+            for load in &mut solids.load {
+                *load = load.as_vec3().as_dvec3();
+            }
+        }
     }
 
     /// A deformation with the device's rotation of the element's gradients. `solids` from

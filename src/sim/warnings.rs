@@ -27,6 +27,12 @@ const SOFT: f64 = 2.0;
 pub fn warnings(scene: &Scene) -> Result<Vec<String>, Error> {
     let grid = scene.grid();
     let mut warnings = Vec::new();
+    if !scene.removed.is_empty() {
+        let removed = scene.removed.join(", ");
+        warnings.push(format!(
+            "--without also removes what refers to it: {removed}"
+        ));
+    }
     for (key, length) in geometry::large_meshes(scene)? {
         warnings.push(format!(
             "{key} is {} m long, the domain {} m: is it in mm? Then write units = \"mm\" beside its file",
@@ -152,7 +158,7 @@ fn material_warnings(
 ) -> Result<(), Error> {
     let height = geometry::liquid_height(scene, grid)?;
     let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
-    let least = SOFT * density * scene.domain.gravity.length() * height;
+    let least = SOFT * density * scene.domain.largest_gravity().length() * height;
     for (solid, body) in scene.solids.iter().zip(&solids.bodies) {
         let name = &solid.name;
         if solid.young < least {

@@ -35,7 +35,9 @@ pub struct OpenFaces<'a> {
 pub struct PatchPressure {
     n_nodes: usize,
     n_quads: usize,
-    at_rest: [f32; 3],
+    at_rest: DVec3,
+    /// Whether the gradient at rest has changed, so that it is written in every sub-step.
+    changes: bool,
     slope: Buffer<PressureSlope>,
     /// Per pair of a node, bits of the rows of the integral of n N_i (x - x_cell)^T, m^3; fourth of the first row, which slope.
     moments: Buffer<[u32; 4]>,
@@ -45,6 +47,11 @@ pub struct PatchPressure {
     pub correction: RealBuffer,
     measure: Option<Bound>,
     apply: Bound,
+}
+
+/// A gradient as in a buffer.
+fn everywhere(at_rest: DVec3) -> [f32; 4] {
+    at_rest.as_vec3().extend(0.0).to_array()
 }
 
 impl PatchPressure {
@@ -59,13 +66,11 @@ impl PatchPressure {
     ) -> Result<PatchPressure, Error> {
         let (size, n) = (coupling.size, coupling.n_nodes);
         let variant = liquid.variant;
-        let at_rest = at_rest.as_vec3();
-        let everywhere = vec![at_rest.extend(0.0).to_array(); 4 * size.quads];
-        let at_rest = at_rest.to_array();
+        let everywhere = vec![everywhere(at_rest); 4 * size.quads];
         let slope = gpu.uniform(
             "patch_pressure.slope",
             &PressureSlope {
-                at_rest,
+                at_rest: at_rest.as_vec3().to_array(),
                 scale: 0.0,
             },
         )?;
@@ -108,6 +113,7 @@ impl PatchPressure {
             n_nodes: n,
             n_quads: size.quads,
             at_rest,
+            changes: false,
             measure: faces.map(measure).transpose()?,
             apply,
             slope,
@@ -123,8 +129,14 @@ impl PatchPressure {
     }
 
     /// Writes the integrals of n N_i (x - x_cell)^T over the patches of each pair, m^3, before all work submitted later. `pairs`: those of
-    /// [`CouplingBuffers::write`], in its order. `scale`: rho / dt of the last sub-step, 0 before the first.
-    pub fn write(&self, gpu: &Gpu, pairs: &[Pair], moments: &[DMat3], scale: f64) {
+    /// [`CouplingBuffers::write`], in its order. `at_rest`: as for [`PatchPressure::new`]; `scale`: rho / dt of the last sub-step, 0 before the first.
+    pub fn write(
+        &mut self,
+        gpu: &Gpu,
+        pairs: &[Pair],
+        moments: &[DMat3],
+        (at_rest, scale): (DVec3, f64),
+    ) {
         let mut wet = 0;
         let mut order: Vec<(usize, usize)> = Vec::with_capacity(pairs.len());
         for (at, pair) in pairs.iter().enumerate() {
@@ -146,10 +158,15 @@ impl PatchPressure {
             .collect();
         gpu.upload(&self.moments, &rows);
         let slope = PressureSlope {
-            at_rest: self.at_rest,
+            at_rest: at_rest.as_vec3().to_array(),
             scale: scale as f32,
         };
         gpu.upload(&self.slope, &[slope]);
+        self.changes |= at_rest != self.at_rest;
+        self.at_rest = at_rest;
+        if self.changes && self.measure.is_none() && !pairs.is_empty() {
+            gpu.upload(&self.slopes, &vec![everywhere(at_rest); 4 * (wet + 1)]);
+        }
     }
 
     /// Records the gradients, while the unknowns are still those of the last sub-step.

@@ -668,7 +668,7 @@ fn what_is_not_the_run_is_not_gone_on_with() {
     refused(
         &run,
         "--resume --set liquid.density=900",
-        &["no --set", "--set liquid.density=900"],
+        &["liquid.density is new: 900", "--set"],
     );
     for (arguments, expected) in [
         (

@@ -57,6 +57,10 @@ fn small_scenes_pass() {
     let single = ["solver.precision=\"f32\""];
     // One component without a free surface.
     let full = ["liquid.region[0].half_space.point=[0.0, 0.99, 0.0]"];
+    let turning = [
+        "without domain.gravity",
+        "domain.gravity_keyframes=[{ t = 0, gravity = [0, -9.81, 0] }, { t = 0.1, gravity = [4, -6, 1] }]",
+    ];
     for (scene, frames) in [
         (scene("dam_break_liquid", 0.25, &[]), 2),
         (
@@ -70,6 +74,8 @@ fn small_scenes_pass() {
         (scene("hydrostatic_block", 0.5, &full), 1),
         // Elastic forces are large beside the velocities: without f64 their rounding shows.
         (scene("compressibility", 0.2, &[]), 1),
+        (scene("draining_tank", 0.25, &turning), 2),
+        (scene("compressibility", 0.2, &turning[1..]), 2),
     ] {
         assert_passes(&scene, frames);
     }

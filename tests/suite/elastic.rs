@@ -370,10 +370,12 @@ fn masses_loads_and_pins_are_those_of_the_scene() {
         Load {
             region: end,
             kind: LoadKind::Force(force),
+            keyframes: Vec::new(),
         },
         Load {
             region: top.clone(),
             kind: LoadKind::Traction(traction),
+            keyframes: Vec::new(),
         },
     ];
     let edge = cuboid([0.0; 3], [0.0, 0.0, 1.0]);
@@ -466,6 +468,7 @@ fn pins_and_loads_that_cannot_be_are_refused() {
     solid.loads = vec![Load {
         region: nowhere(),
         kind,
+        keyframes: Vec::new(),
     }];
     assert!(refused(solid).contains("solid[0].load[0]: no node"));
 
@@ -475,6 +478,7 @@ fn pins_and_loads_that_cannot_be_are_refused() {
     solid.loads = vec![Load {
         region: corner,
         kind,
+        keyframes: Vec::new(),
     }];
     assert!(refused(solid).contains("no surface triangle"));
 

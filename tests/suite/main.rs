@@ -23,6 +23,7 @@ mod coupled_case;
 mod coupled_gpu;
 mod coupled_step;
 mod dinosaur;
+mod edits;
 mod elastic;
 mod export;
 mod free_fall;

@@ -668,13 +668,18 @@ fn scene() -> Scene {
         file: "/somewhere/private/dam.toml".into(),
         origins: scene::Origins::default(),
         hash: "0123abcd".into(),
+        values: [("time.duration".into(), "2".into())].into(),
+        meshes: [].into(),
+        removed: Vec::new(),
         scale: 0.5,
         overrides: vec!["time.duration=2".into()],
         domain: scene::Domain {
             size: DVec3::new(1.0, 0.5, 0.5),
             cells: [16, 8, 8],
             gravity: -9.81 * DVec3::Y,
+            gravity_keyframes: Vec::new(),
             open: Sides::default(),
+            slab: None,
         },
         time: scene::Time {
             duration: 2.0,

@@ -1052,3 +1052,143 @@ keyframes = [{ t = 1, eye = [3, 1, 3] }, { t = 2, eye = [0, 1, 4], fov = 20 }, {
     let camera = Scene::parse(path, &two, &[], 1.0).unwrap().camera;
     assert!(camera.pose(1.25).eye.distance(DVec3::new(2.25, 1.0, 3.25)) < 1e-12);
 }
+
+/// A plane problem with a value of every kind that is stretched.
+const SLAB: &str = r#"[domain]
+size = [2, 1, 1]
+cells = [32, 16, 2]
+slab = "z"
+[time]
+duration = 1
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.5, 1] }
+[[liquid.region]]
+cylinder = { base = [1.5, 0.5, 0.0], axis = [0, 0, 1], radius = 0.2, height = 1 }
+subtract = true
+[[source]]
+box = { min = [0, 0.8, 0], max = [0.2, 1, 1] }
+flow_rate = 0.4
+direction = [1, 0, 0]
+[[obstacle]]
+box = { min = [1.8, 0, 0], max = [2, 0.2, 1] }
+placement = { translate = [0, 0.1, 0], rotate = { axis = [0, 0, 1], degrees = 10 } }
+[[solid]]
+name = "wall"
+mesh = { box = { size = [0.2, 0.5, 1], cells = [2, 4, 2] } }
+placement = { at = [1.3, 0.25, 0.5] }
+density = 1000
+young = 1e6
+poisson = 0.3
+[[solid.pin]]
+region = { box = { min = [0, -0.001, 0], max = [2, 0.001, 1] } }
+[[solid.load]]
+region = { box = { min = [0, 0.499, 0], max = [2, 0.501, 1] } }
+force = [8, 0, 0]
+[[probe]]
+name = "p"
+pressure = { point = [0.5, 0.1, 0.5] }
+[[probe]]
+name = "f"
+force = { solid = "wall" }
+"#;
+
+#[test]
+fn a_slab_keeps_its_cells_and_what_is_per_thickness() {
+    for (scale, cells, thickness) in [(1.0, [32, 16, 2], 0.125), (0.5, [16, 8, 2], 0.25)] {
+        let scene = load(SLAB, &[], scale).unwrap();
+        assert_eq!(scene.domain.cells, cells);
+        assert_eq!(scene.domain.size, DVec3::new(2.0, 1.0, thickness));
+        let Some(liquid) = &scene.liquid else {
+            panic!()
+        };
+        let Shape::Box { max, .. } = liquid.regions[0].shape else {
+            panic!()
+        };
+        assert_eq!(max, DVec3::new(1.0, 0.5, thickness));
+        let Shape::Cylinder { height, .. } = liquid.regions[1].shape else {
+            panic!()
+        };
+        assert_eq!(height, thickness);
+        // 0.4 m^3/s per metre through 0.2 m of height are 2 m/s.
+        assert!((scene.sources[0].velocity - DVec3::new(2.0, 0.0, 0.0)).length() < 1e-12);
+        assert!((scene.sources[0].flow_rate.unwrap() - 0.4 * thickness).abs() < 1e-12);
+        let LoadKind::Force(force) = scene.solids[0].loads[0].kind else {
+            panic!()
+        };
+        assert_eq!(force, DVec3::new(8.0 * thickness, 0.0, 0.0));
+        let ProbeKind::Pressure { point } = scene.probes[0].kind else {
+            panic!()
+        };
+        assert_eq!(point.z, 0.5 * thickness);
+        // The mesh fills the slab; its nodes are on rollers, those of the foot are clamped.
+        let meshes = cutwater::geometry::solid_meshes(&scene).unwrap();
+        let (low, high) = meshes[0]
+            .nodes
+            .iter()
+            .fold((1.0_f64, 0.0_f64), |(low, high), x| {
+                (low.min(x.z), high.max(x.z))
+            });
+        assert_eq!([low, high], [0.0, thickness]);
+        let solids = cutwater::elastic::Solids::new(&scene, &meshes).unwrap();
+        for (node, prescribed) in solids.rest.iter().zip(&solids.prescribed) {
+            let foot = node.y == 0.0;
+            assert_eq!(*prescribed, [foot, foot, true], "{node}");
+        }
+    }
+    // The thickness of the file needs no cubes, and a slab of one cell has half of the load.
+    let thin = load(SLAB, &["domain.cells=[32, 16, 1]"], 1.0).unwrap();
+    assert_eq!(thin.domain.size.z, 0.0625);
+}
+
+#[test]
+fn what_varies_across_a_slab_is_refused() {
+    for (set, expected) in [
+        ("domain.cells=[32, 16, 3]", "domain.slab: is 3 cells thick"),
+        (
+            "domain.gravity=[0, -9, 1]",
+            "domain.gravity: gravity varies along z",
+        ),
+        (
+            "domain.open=[\"+z\"]",
+            "domain.open: opens a wall of the slab",
+        ),
+        (
+            "liquid.region[0].velocity=[0, 0, 1]",
+            "liquid.region[0]: its velocity varies along z",
+        ),
+        (
+            "liquid.region[1].cylinder.axis=[0, 1, 1]",
+            "liquid.region[1]: the cylinder varies along z",
+        ),
+        (
+            "obstacle[0].placement.rotate.axis=[1, 0, 0]",
+            "obstacle[0]: its placement turns it out of the plane",
+        ),
+        (
+            "obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0, 0, 1] }]",
+            "obstacle[0]: its keyframes move it out of the plane",
+        ),
+        (
+            "solid[0].mesh={ sphere = { radius = 0.2, cell_size = 0.1 } }",
+            "solid[0]: a ball varies along z",
+        ),
+        (
+            "solid[0].mesh.box.size=[0.2, 0.5, 0.9]",
+            "solid[0]: leaves a gap to the walls of the slab",
+        ),
+        (
+            "solid[0].pin[0].region={ sphere = { centre = [1.3, 0, 0.5], radius = 0.3 } }",
+            "solid[0]: a sphere varies along z",
+        ),
+        (
+            "probe[0]={ name = \"p\", front = { axis = \"z\" } }",
+            "probe[0]: its front varies along z",
+        ),
+    ] {
+        let message = load(SLAB, &[set], 1.0).unwrap_err().to_string();
+        assert!(
+            message.contains(expected) && message.contains("cure: "),
+            "{set}: {message}"
+        );
+    }
+}

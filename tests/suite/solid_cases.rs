@@ -47,6 +47,7 @@ pub(crate) fn cantilever(cells: [usize; 3]) -> Solid {
     solid.loads = vec![Load {
         region: section(1.0),
         kind: LoadKind::Force(DVec3::new(0.0, 0.0, -0.01)),
+        keyframes: Vec::new(),
     }];
     solid
 }

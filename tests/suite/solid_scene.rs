@@ -32,6 +32,7 @@ pub(crate) fn body(mesh: SolidMesh) -> Solid {
         name: "body".to_owned(),
         mesh,
         placement: Placement::default(),
+        stretch: DVec3::ONE,
         initial: Initial::default(),
         density: 1000.0,
         young: 1e6,

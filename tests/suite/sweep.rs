@@ -72,6 +72,7 @@ fn names(settings: &[&str]) -> Vec<String> {
     let folder = folder(DAM);
     let options = Options {
         scene: folder.path().join("dam.toml"),
+        without: Vec::new(),
         scale: 1.0,
         frames: None,
         backend: "cpu",

@@ -53,6 +53,19 @@ fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
     assert!(close(dt(4.0, 0.1 + 1e-14, 0.1), 0.05));
 }
 
+/// The largest gravity within a sub-step limits it, also one that begins later.
+#[test]
+fn gravity_over_time_limits_the_sub_steps() {
+    let grows = "domain.gravity_keyframes=[{ t = 0.5, gravity = [0, -10, 0] }, { t = 0.51, gravity = [0, 0, 40] }]";
+    let limits = limits(POOL, &["without domain.gravity", grows]);
+    let dt = |time: f64| limits.time_step(0.0, [time, 0.09], 0.1).dt;
+    assert!(close(dt(0.0), 0.09));
+    assert!(close(dt(0.45), 0.045), "it grows before the end");
+    assert!(close(dt(0.6), 0.045));
+    // Volume is controlled over one time all along, by the largest: sqrt(1 m / 40 m/s^2) / 8.
+    assert!(close(limits.control_time(0.0), 0.025_f64.sqrt() / 8.0));
+}
+
 /// Nothing moves explicitly: only speeds limit, that of a fall over a cell included.
 #[test]
 fn a_fixed_surface_has_no_such_limit() {

@@ -14,7 +14,7 @@ use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, Subcommand};
 
-use super::{AdapterArgs, BackendArgs, SMALLER_SCENE, without_backend};
+use super::{AdapterArgs, BackendArgs, Overrides, SMALLER_SCENE, without_backend};
 
 /// Measure the solves, the whole step, or the adapter; or the thesis's tables
 #[derive(Debug, Args)]
@@ -230,9 +230,8 @@ struct Effects {
     /// Multiply domain.cells, rounded
     #[arg(long, default_value_t = 1.0)]
     scale: f64,
-    /// Override a key of every scene; may be repeated
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
     /// Frames of each scene; a pair of sub-steps with and without each effect after each of them
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
@@ -245,7 +244,7 @@ struct Effects {
 impl Effects {
     fn run(&self) -> Result<(), Error> {
         let options = effects::Options {
-            scenes: load(&self.scenes, &self.overrides, self.scale)?,
+            scenes: load(&self.scenes, &self.overrides.all(), self.scale)?,
             frames: self.frames,
             adapter: self.adapter.choice(),
         };
@@ -391,9 +390,8 @@ struct Accuracy {
     /// Multiply domain.cells, rounded
     #[arg(long, default_value_t = 1.0)]
     scale: f64,
-    /// Override a key of every scene; may be repeated
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
     /// Frames whose states are solved from
     #[arg(
         long,
@@ -437,7 +435,7 @@ impl Accuracy {
             .copied()
             .try_for_each(check_tolerance)?;
         let options = accuracy::Options {
-            scenes: load(&self.scenes, &self.overrides, self.scale)?,
+            scenes: load(&self.scenes, &self.overrides.all(), self.scale)?,
             frames: self.frames.clone(),
             grids: self.grids.clone(),
             precisions: self.precision.clone(),

@@ -10,7 +10,7 @@ use crate::scene::Scene;
 use clap::Args;
 
 use super::{OrMax, Output, Repeats};
-use crate::cli::AdapterArgs;
+use crate::cli::{AdapterArgs, Overrides};
 
 #[derive(Debug, Args)]
 pub(super) struct Step {
@@ -34,9 +34,8 @@ pub(super) struct Step {
         default_value = "1"
     )]
     solids_scale: Vec<f64>,
-    /// Override a key of every scene; may be repeated
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    overrides: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
     /// Frames of each run
     #[arg(long, default_value_t = 6)]
     frames: u64,
@@ -52,12 +51,12 @@ impl Step {
     /// Every scene at every scale, of the grid and of its solids.
     fn cases(&self) -> Result<Vec<Case>, Error> {
         let mut cases = Vec::new();
+        let overrides = self.overrides.all();
         for path in &self.scenes {
             for &scale in &self.scale {
                 for &solids_scale in &self.solids_scale {
-                    let load = |scale: f64| {
-                        Case::new(Scene::load(path, &self.overrides, scale)?, solids_scale)
-                    };
+                    let load =
+                        |scale: f64| Case::new(Scene::load(path, &overrides, scale)?, solids_scale);
                     let scale = match scale {
                         OrMax::Number(scale) => scale,
                         OrMax::Max => {

@@ -141,6 +141,8 @@ struct Twins<'a> {
     end: f64,
     dt: f64,
     dt_last: f64,
+    /// Mean over the sub-step, m/s^2.
+    gravity: DVec3,
 }
 
 impl<'a> Twins<'a> {
@@ -154,6 +156,7 @@ impl<'a> Twins<'a> {
             end: 0.0,
             dt: 0.0,
             dt_last: 0.0,
+            gravity: DVec3::ZERO,
         })
     }
 
@@ -161,11 +164,12 @@ impl<'a> Twins<'a> {
     fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
         let dt = time_step.dt;
         (self.dt_last, self.dt, self.end) = (self.dt, dt, path.clock().time + dt);
+        self.gravity = path.gravity(time_step);
         if let Some(twin) = &mut self.liquid {
             twin.begin(path, time_step);
         }
         if let Some(twin) = &mut self.solids {
-            twin.begin(path, dt);
+            twin.begin(path, dt, self.gravity);
         }
     }
 
@@ -219,17 +223,22 @@ impl<'a> Twins<'a> {
         let snapshots = device.liquid.as_ref().zip(device.solids.as_ref());
         if let Some(((liquid, held), solids)) = snapshots.zip(path.solids()) {
             clip.clip(&solids.moved(&held.displacement));
-            self.slopes = slopes(self.scene, clip, liquid, self.dt_last);
+            self.slopes = slopes(self.scene, clip, liquid, (self.gravity, self.dt_last));
         }
     }
 }
 
 /// Gradients of the pressure within cells, Pa/m; those of cells without patches do not count. `before`: the liquid before the sub-step; `dt_last`:
 /// length of the last one, s.
-fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: f64) -> Vec<DVec3> {
+fn slopes(
+    scene: &Scene,
+    clip: &SolidClip,
+    before: &LiquidSnapshot,
+    (gravity, dt_last): (DVec3, f64),
+) -> Vec<DVec3> {
     let grid = scene.grid();
     let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
-    let at_rest = (density * scene.domain.gravity).as_vec3().as_dvec3();
+    let at_rest = (density * gravity).as_vec3().as_dvec3();
     match scene.solver.pressure_on_patches {
         PatchPressure::Cell => vec![DVec3::ZERO; grid.n_cells()],
         PatchPressure::Hydrostatic => vec![at_rest; grid.n_cells()],

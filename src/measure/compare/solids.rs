@@ -48,6 +48,8 @@ pub(super) struct SolidComparison<'a> {
     pub(super) table: Table,
     /// s
     dt: f64,
+    /// Mean over the sub-step as on the device, m/s^2.
+    gravity: DVec3,
     /// Input of the stage.
     before: SolidSnapshot,
     /// Matrices of the sub-step, after `solid_matrices`.
@@ -79,13 +81,19 @@ impl<'a> SolidComparison<'a> {
             solids,
             table: Table::default(),
             dt: 0.0,
+            gravity: DVec3::ZERO,
             before,
             matrices: None,
         }))
     }
 
-    /// Begins a sub-step of dt (s).
-    pub(super) fn begin(&mut self, path: &GpuPath, dt: f64) {
+    /// Begins a sub-step of dt (s) with this gravity (m/s^2).
+    pub(super) fn begin(&mut self, path: &GpuPath, dt: f64, gravity: DVec3) {
+        self.gravity = gravity.as_vec3().as_dvec3();
+        let time = path.clock().time;
+        if self.solids.set_load([time, time + dt]) {
+            self.before.round_load(&mut self.solids);
+        }
         self.table.step = path.clock().step;
         self.dt = f64::from(dt as f32);
         self.obstacles.move_to(path.clock().time + dt, dt);
@@ -138,7 +146,7 @@ impl<'a> SolidComparison<'a> {
             true => &[][..],
             false => &self.obstacles.distance,
         };
-        let falling = (self.scene.domain.gravity.as_vec3().as_dvec3(), self.dt);
+        let falling = (self.gravity, self.dt);
         let twin = |off: DVec3| {
             let moved = before.displacement.iter().map(|&u| DVec3::from(u) + off);
             let moved: Vec<[f64; 3]> = moved.map(DVec3::into).collect();
@@ -166,7 +174,7 @@ impl<'a> SolidComparison<'a> {
     fn move_solid(&mut self, after: &SolidSnapshot, both: Option<&Both>) {
         let ballistic = self.ballistic_bodies(after, both);
         let (before, dt) = (&self.before, self.dt);
-        let gravity = self.scene.domain.gravity.as_vec3().as_dvec3();
+        let gravity = self.gravity;
         let falls = (gravity, &*ballistic);
         let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
         reference::turn_solids(&self.solids, dt, &mut u, &mut v);
@@ -241,7 +249,7 @@ impl<'a> SolidComparison<'a> {
 
     /// One product and one sum.
     fn forces(&mut self, after: &SolidSnapshot) {
-        let gravity = self.scene.domain.gravity.as_vec3().as_dvec3();
+        let gravity = self.gravity;
         let mut twin = self.before.velocity.clone();
         let prescribed = &after.prescribed;
         reference::node_forces(&self.solids, prescribed, gravity, self.dt, &mut twin);
@@ -420,7 +428,7 @@ impl<'a> SolidComparison<'a> {
         let solid = SolidSystem::new(solids, stiffness, &rhs, &after.velocity, freedom, dt);
         let assembled = solve(assembled, solid, both.clip.coupling(), density)?;
         // The velocity of a fall during the step is the scale where nothing moves.
-        let fall = dt * self.scene.domain.gravity.length();
+        let fall = dt * self.gravity.length();
         let scale = |values: &[f64]| largest(values.iter().map(|x| x.abs()));
         self.table.stage = "assembly";
         let bound = ASSEMBLY * scale(&assembled.pressure);
@@ -516,7 +524,7 @@ impl<'a> SolidComparison<'a> {
     /// Sums over nodes and elements: five roundings of a term, in f32 one per term of a thread's share and level of the tree, and two f32 for the sum.
     fn diagnose(&mut self, after: &SolidSnapshot) {
         let (solids, gpu) = (&self.solids, &after.report.diagnosis);
-        let gravity = self.scene.domain.gravity.as_vec3().as_dvec3();
+        let gravity = self.gravity;
         let displacement = &after.displacement;
         let deformations: Vec<Deformation> = (0..solids.elements.len())
             .map(|element| solids.deformation(element, displacement))
