@@ -8,7 +8,7 @@ use cutwater::geometry::{parse_mesh, parse_tets};
 use cutwater::scene::Scene;
 
 /// The readers, by the ends of the names of their files; `scene` reads TOML.
-pub const TARGETS: [&str; 6] = ["scene", "obj", "stl", "ply", "msh", "vtu"];
+pub const TARGETS: [&str; 7] = ["scene", "obj", "stl", "ply", "glb", "msh", "vtu"];
 
 /// Has one reader read a file; gives the message where it is refused.
 ///
