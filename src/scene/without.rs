@@ -53,7 +53,7 @@ pub(super) fn remove(root: &mut Node, keys: &[&str]) -> Result<Vec<String>, (usi
         root.remove(path);
     }
     let [liquid, solids] = ["liquid", "solid"].map(|key| root.child(key).is_some());
-    if (had_liquid && !liquid || had_solids && !solids) && !(liquid || solids) {
+    if (had_liquid || had_solids) && !(liquid || solids) {
         let problem = "leaves neither liquid nor solids".to_owned();
         return Err((0, [problem, "keep one of them".to_owned()]));
     }

@@ -432,13 +432,14 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
         open,
     });
     let fields = &device.fields;
-    let stage = PatchPressure::new(
+    // Gravity may change after the start.
+    let mut stage = PatchPressure::new(
         gpu,
         buffers,
         &device.solids,
         fields,
         &device.coupling,
-        (at_rest, faces),
+        (2.0 * at_rest, faces),
     )
     .unwrap();
     let coupling = joint.coupling();
@@ -453,7 +454,7 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
     };
     let moments = coupling.sums(DMat3::ZERO, &joint.patches, &joint.triangles, moment);
     let scale = single(DENSITY / joint.dt);
-    stage.write(gpu, &device.pairs, &moments, scale);
+    stage.write(gpu, &device.pairs, &moments, (at_rest, scale));
     let mut random = Random(23);
     let potential = noise(&mut random, grid.n_cells());
     let host = padded.pad(grid.cells, &potential, |phi| phi);
