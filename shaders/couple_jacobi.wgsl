@@ -40,6 +40,7 @@ fn couple_jacobi(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     let before = z[quad];
     let after = Inner4(Real4(r[quad]) * (inverse / (Real4(Real(1.0)) + inverse * added)));
     z[quad] = after;
-    let change = Real4(after) - Real4(before);
+    // Cells that were active in an earlier solve keep their z.
+    let change = select(Real4(), Real4(after) - Real4(before), inverse > Real4());
     partials[wet] = Real4(dot(Real4(r[quad]), change), Real(0.0), Real(0.0), Real(0.0));
 }

@@ -244,7 +244,13 @@ impl<'a> DeviceScene<'a> {
             scale: norm(&values),
             values,
         };
-        Ok(coupled_system(active, rhs, solid, &coupling, density))
+        Ok(coupled_system(
+            (active, &[]),
+            rhs,
+            solid,
+            &coupling,
+            density,
+        ))
     }
 
     /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.

@@ -86,5 +86,6 @@ pub(super) fn system_of_both(
     let mut rhs = right_hand_side(grid, open, &liquid.velocity_next, &active, None);
     rhs.values = inflow.iter().map(|b| grid.dx * grid.dx * b).collect();
     let (solid, all) = solid_system(path, solids, dt);
+    let active = (active, &*liquid.separated);
     Some((coupled_system(active, rhs, solid, &coupling, density), all))
 }

@@ -6,7 +6,8 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::fields;
 use crate::fields::{
-    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS, SolidStep,
+    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, REPORT_WORDS,
+    SolidStep, SolverBuffers,
 };
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
@@ -18,7 +19,7 @@ use crate::stages::{OpenFaces, PatchPressure, Seal};
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 use crate::step::Stage;
 
-use super::gpu_liquid::GpuLiquid;
+use super::gpu_liquid::{GpuLiquid, LiquidSolve};
 use super::gpu_solids::{GpuSolids, Search, SolidReadbacks};
 
 /// Capacity for clipping and J.
@@ -88,6 +89,8 @@ pub(super) struct CouplingStages {
     pub(super) closed_components: Seal,
     pub(super) patch_pressure: Option<PatchPressure>,
     scheme: Scheme,
+    /// With separation.
+    separated_flux: Option<Dispatches>,
     pub(super) diagnose: Dispatches,
 }
 
@@ -173,7 +176,7 @@ impl CouplingStages {
                 Scheme::Weak(Weak::new(gpu, both, fields, buffers, weak)?)
             }
             None => {
-                let at = coupled(liquid, solids, buffers);
+                let at = coupled((&liquid.buffers, &liquid.solver), solids, buffers);
                 Scheme::Together(CoupledSolver::new(gpu, at, &scene.solver)?.into())
             }
         };
@@ -189,6 +192,13 @@ impl CouplingStages {
             move_solid: stages::wet_bodies(gpu, fields, &liquid.solver, buffers)?,
             closed_components: Seal::new(gpu, &liquid.solver, nodes, buffers)?,
             scheme,
+            separated_flux: stages::separated_flux(
+                gpu,
+                &liquid.buffers,
+                &liquid.solver,
+                buffers,
+                &fields.velocity,
+            )?,
             diagnose: stages::diagnose_coupling(gpu, &liquid.solver, buffers, correction)?,
             patch_pressure,
         })
@@ -197,17 +207,17 @@ impl CouplingStages {
 
 /// Fields of the coupled solve.
 fn coupled<'a>(
-    liquid: &'a GpuLiquid,
+    (liquid, solver): (&'a LiquidBuffers, &'a SolverBuffers),
     solids: &'a GpuSolids,
     coupling: &'a CouplingBuffers,
 ) -> CoupledFields<'a> {
     CoupledFields {
-        liquid: &liquid.solver,
+        liquid: solver,
         solids: &solids.system,
         fields: &solids.buffers,
         coupling,
-        velocity: &liquid.buffers.velocity_next,
-        open: liquid.buffers.solve_open(),
+        velocity: &liquid.velocity_next,
+        open: liquid.solve_open(),
     }
 }
 
@@ -469,19 +479,39 @@ impl GpuCoupling {
         Ok((touch, timing.wait()?))
     }
 
-    /// Solves for liquid and solids in a sub-step of dt (s) until the active set of contacts is unchanged.
+    /// Solves for liquid and solids in a sub-step of dt (s) until the active set of contacts is unchanged, and in each
+    /// the set of separated cells.
     /// Damping-only coupling first solves for the solids without damping, then for both without elasticity.
     pub(super) fn solve_in_contact(
         &self,
         gpu: &Gpu,
         together: &CoupledSolver,
-        (liquid, solids): (&GpuLiquid, &GpuSolids),
+        (liquid, solids): (&mut GpuLiquid, &GpuSolids),
         SolidReadbacks { answer, .. }: &mut SolidReadbacks,
         (step, dt): (SolidStep, f64),
         touch: ContactState,
     ) -> Result<(Solved, StageTimes), Error> {
-        let at = coupled(liquid, solids, &self.buffers);
+        let CouplingStages {
+            closed_components,
+            separated_flux,
+            ..
+        } = &self.stages;
+        let with = (
+            Some(closed_components),
+            separated_flux.as_ref(),
+            together.tolerance(),
+        );
+        let (
+            LiquidSolve {
+                buffers, solver, ..
+            },
+            mut rounds,
+        ) = liquid.rounds(gpu, dt, with);
+        let at = coupled((buffers, solver), solids, &self.buffers);
         let mut recorder = Recorder::timed(gpu);
+        if let Some(rounds) = &rounds {
+            rounds.record_start(&mut recorder);
+        }
         let mut before = None;
         let mut times = StageTimes::new();
         if self.damping_only {
@@ -510,8 +540,27 @@ impl GpuCoupling {
         };
         let mut iterations = 0;
         let solve = |recorder, solves| {
-            let (mut outcome, times) =
-                together.solve(gpu, recorder, at, &polynomial, solves > 0)?;
+            let again = solves > 0;
+            let (mut outcome, times) = match &mut rounds {
+                None => together.solve(gpu, recorder, at, &polynomial, again)?,
+                Some(rounds) => {
+                    let (form, recorder, mut times) =
+                        together.prepare(gpu, recorder, at, &polynomial)?;
+                    let mut before = 0;
+                    let (outcome, restoring) =
+                        rounds.search(recorder, false, |recorder, round, update| {
+                            let with = (round.tolerance, again || round.number > 1);
+                            let (mut outcome, mut seconds, updated) =
+                                together.solve_then(gpu, recorder, &form, with, update)?;
+                            times.append(&mut seconds);
+                            before += outcome.iterations;
+                            outcome.iterations = before;
+                            Ok((outcome, updated))
+                        })?;
+                    restoring.submit();
+                    (outcome, times)
+                }
+            };
             iterations += outcome.iterations;
             outcome.iterations = iterations;
             let status = outcome.status;
@@ -533,6 +582,12 @@ impl GpuCoupling {
             if status != SolveStatus::Converged {
                 parts[1].status = status;
             }
+        }
+        if let Some(rounds) = rounds {
+            parts[0].status = rounds.status(parts[0].status);
+            let report = rounds.report;
+            liquid.n_separated = report.cells;
+            liquid.separation = Some(report);
         }
         let solved = Solved {
             parts,

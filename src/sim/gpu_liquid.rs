@@ -13,10 +13,11 @@ use crate::grid::Grid;
 use crate::reference::{self, Seeded, TimeStep};
 use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{Outcome, PressureSolver};
-use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe, Separation};
+use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe, Seal, Separation};
 use crate::state::{Exchange, LiquidReport, SeparationReport, State};
 use crate::step::Stage;
 
+use super::separation::Rounds;
 use super::step::solve_report;
 
 /// What the last solve left, per cell.
@@ -65,6 +66,14 @@ pub(super) struct GpuLiquid {
     /// Volumes that a level exchanges.
     exchange: Option<LevelExchange>,
     pub(super) stages: LiquidStages,
+}
+
+/// Arrays and kernels of the liquid that a solve needs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LiquidSolve<'a> {
+    pub(super) buffers: &'a LiquidBuffers,
+    pub(super) solver: &'a SolverBuffers,
+    pub(super) solve: &'a PressureSolver,
 }
 
 /// Markers removed and added since the start of the simulation.
@@ -405,6 +414,45 @@ impl GpuLiquid {
             }
             None => dt * self.taps.flux(sources.running),
         }
+    }
+
+    /// Arrays for the solve of a sub-step of dt (s), and with separation the rounds around it. With solids that touch the liquid `flux` has
+    /// their part in the separated cells.
+    pub(super) fn rounds<'a>(
+        &'a mut self,
+        gpu: &'a Gpu,
+        dt: f64,
+        (seal, flux, tolerance): (Option<&'a Seal>, Option<&'a Dispatches>, f64),
+    ) -> (LiquidSolve<'a>, Option<Rounds<'a>>) {
+        let (buffers, solver) = (&self.buffers, &self.solver);
+        let LiquidStages {
+            active_cells,
+            closed_components,
+            solve,
+            separation,
+            ..
+        } = &mut self.stages;
+        let rounds = separation.as_mut().map(|stage| Rounds {
+            gpu,
+            fields: (buffers, solver),
+            unmasked: (active_cells, closed_components, seal),
+            stage,
+            flux,
+            tolerance,
+            pascal: self.settings.density * buffers.plan.grid.dx / dt,
+            dt,
+            report: SeparationReport {
+                cells: self.n_separated,
+                ..SeparationReport::default()
+            },
+            settled: true,
+        });
+        let of_solve = LiquidSolve {
+            buffers,
+            solver,
+            solve,
+        };
+        (of_solve, rounds)
     }
 
     /// The running sources of the sub-step after the state `head`.

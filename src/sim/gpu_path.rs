@@ -52,22 +52,14 @@ pub(super) type Probed = (Vec<f64>, NodeReadback);
 /// Checks that the device has kernels for the effects of a scene.
 ///
 /// # Errors
-/// [`Error::Input`] for separation beside elastic solids, and contact of solids with each other.
+/// [`Error::Input`] for contact of solids with each other.
 pub fn check_kernels(scene: &Scene) -> Result<(), Error> {
-    let effects = Effects::of(scene);
-    if effects.solid_contact {
-        return Err(Error::input(
+    match Effects::of(scene).solid_contact {
+        false => Ok(()),
+        true => Err(Error::input(
             scene.at("solver.solid_contact"),
             "contact of solids with each other needs the f64 path: the GPU has no kernels for it",
             "use --backend cpu, or solid_contact = false",
-        ));
-    }
-    match effects.separation && effects.solids {
-        false => Ok(()),
-        true => Err(Error::input(
-            scene.at("liquid.separation"),
-            "liquid that leaves elastic solids needs the f64 path: the GPU has no kernels for it",
-            "use --backend cpu, or separation = \"none\"",
         )),
     }
 }

@@ -10,6 +10,7 @@ mod health;
 mod memory;
 mod plan;
 mod run;
+mod separation;
 mod snapshot;
 mod squeeze;
 mod step;

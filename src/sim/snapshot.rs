@@ -247,9 +247,10 @@ pub fn stored_coupling(coupling: &Coupling, dx: f64, density: f64, dt: f64) -> (
     (stored, mass * f64::from(dt as f32) / dx.powi(3))
 }
 
-/// Assembles the coupled system. `rhs`: E u*, m^3/s, less the flux of prescribed nodes into enclosed components.
+/// Assembles the coupled system. `rhs`: E u*, m^3/s, less the flux of prescribed nodes into enclosed components. `separated`: cells
+/// that are no unknowns; empty for none.
 pub fn coupled_system(
-    active: ActiveCells,
+    (active, separated): (ActiveCells, &[bool]),
     rhs: RightHandSide,
     solid: SolidSystem,
     coupling: &Coupling,
@@ -258,7 +259,7 @@ pub fn coupled_system(
     let mut closed = vec![false; rhs.values.len()];
     let cells = active.closed.iter().flatten();
     cells.for_each(|&cell| closed[cell] = true);
-    let pressure = PressureSystem::new(active, rhs, solid.dt(), density);
+    let pressure = PressureSystem::new(active, rhs, solid.dt(), density).masked(separated);
     CoupledSystem::new(pressure, solid, &coupling.restricted(|cell| !closed[cell]))
 }
 

@@ -8,14 +8,11 @@ use crate::fields::{Report, SolidReport};
 use crate::gpu::{Gpu, Readback, Recorder, StageTimes};
 use crate::reference::{SQUEEZE, TimeStep};
 use crate::solver::Outcome;
-use crate::stages::MAX_ROUNDS;
-use crate::state::{
-    ContactReport, CouplingReport, SeparationReport, SolveReport, SolveStatus, StepReport,
-};
+use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
 use crate::step::{self, Backend, Stage};
 
 use super::gpu_coupling::{ClipTime, CouplingReadbacks};
-use super::gpu_liquid::GpuLiquid;
+use super::gpu_liquid::{GpuLiquid, LiquidSolve};
 use super::gpu_path::GpuPath;
 use super::gpu_solids::SolidReadbacks;
 use super::squeeze::{SqueezeReadbacks, can_squeeze, squeezed};
@@ -327,7 +324,7 @@ impl SubStep<'_, '_> {
             readbacks,
             ..
         } = &mut *self.path;
-        let both = liquid.as_ref().zip(solids.as_ref());
+        let both = liquid.as_mut().zip(solids.as_ref());
         let Some((coupling, (liquid, solids))) = coupling.as_ref().zip(both) else {
             return Ok(());
         };
@@ -362,88 +359,45 @@ impl SubStep<'_, '_> {
     }
 
     fn solve_pressure(&mut self) -> Result<(), Error> {
-        let GpuPath { gpu, liquid, .. } = &mut *self.path;
-        let Some(GpuLiquid { solver, stages, .. }) = liquid else {
-            return Ok(());
-        };
-        if stages.separation.is_some() {
-            return self.solve_separated();
-        }
-        let recorder = end_recording(&mut self.recorder, gpu);
-        let (outcome, mut seconds) = stages.solve.solve(gpu, recorder, solver)?;
-        self.readback.pressure = Some(outcome);
-        self.readback.seconds.append(&mut seconds);
-        Ok(())
-    }
-
-    /// Repeats the pressure solve until the set of separated cells is unchanged. A round waits as often as a solve. Rounds are rough while
-    /// the set changes. The first one is not where no cell separated before, since mostly none does now.
-    fn solve_separated(&mut self) -> Result<(), Error> {
-        let GpuPath { gpu, liquid, .. } = &mut *self.path;
+        let GpuPath {
+            gpu,
+            liquid,
+            coupling,
+            ..
+        } = &mut *self.path;
         let Some(liquid) = liquid else {
             return Ok(());
         };
-        let (buffers, solver) = (&liquid.buffers, &liquid.solver);
-        let stages = &mut liquid.stages;
-        let Some(separation) = &mut stages.separation else {
+        let mut recorder = end_recording(&mut self.recorder, gpu);
+        let seal = coupling.as_ref();
+        let seal = seal.map(|coupling| &coupling.stages.closed_components);
+        let with = (seal, None, liquid.stages.solve.tolerance());
+        let (LiquidSolve { solver, solve, .. }, rounds) = liquid.rounds(gpu, self.dt, with);
+        let seconds = &mut self.readback.seconds;
+        let Some(mut rounds) = rounds else {
+            let (outcome, mut times) = solve.solve(gpu, recorder, solver)?;
+            self.readback.pressure = Some(outcome);
+            seconds.append(&mut times);
             return Ok(());
         };
-        let system = (&stages.active_cells, &stages.closed_components);
-        let mut recorder = end_recording(&mut self.recorder, gpu);
-        separation.record_start(&mut recorder, buffers, solver);
-        let mut report = SeparationReport::default();
-        let mut masks = liquid.n_separated > 0;
-        let (mut changed, mut rough) = (masks, masks);
-        let tolerance = stages.solve.tolerance();
+        rounds.record_start(&mut recorder);
         let mut iterations = 0;
-        for round in 1..=MAX_ROUNDS {
-            if round > 1 {
-                separation.record_guess(&mut recorder, buffers);
-            }
-            if changed {
-                separation.record_system(&mut recorder, (buffers, solver), system, true);
-            }
-            let aim = separation.write_round(gpu, (round, tolerance), rough);
-            let mut update = |to: &mut Recorder| separation.record_update(to, buffers);
-            let (mut outcome, mut seconds, updated) =
-                stages
-                    .solve
-                    .solve_then(gpu, recorder, (solver, aim, round > 1), &mut update)?;
-            self.readback.seconds.append(&mut seconds);
-            if !updated {
-                let mut to = Recorder::new(gpu);
-                separation.record_update(&mut to, buffers);
-                to.submit();
-            }
-            let sums = separation.sums(gpu)?;
-            recorder = Recorder::timed(gpu);
-            iterations += outcome.iterations;
-            outcome.iterations = iterations;
-            changed = sums.added + sums.returned > 0;
-            report.rounds = round;
-            report.cells = sums.separated as usize;
-            if (!changed && aim <= tolerance) || round == MAX_ROUNDS {
-                if changed && outcome.status == SolveStatus::Converged {
-                    outcome.status = SolveStatus::Unsettled;
-                }
-                let dx = buffers.plan.grid.dx;
-                let pascal = liquid.settings.density * dx / self.dt;
-                report.least_pressure = pascal * sums.least_potential;
-                report.opened = dx * dx * self.dt * sums.opening;
-                self.readback.pressure = Some(outcome);
-                break;
-            }
-            report.returned += sums.returned as usize;
-            masks |= changed;
-            rough = changed;
-        }
-        if masks {
-            separation.record_system(&mut recorder, (buffers, solver), system, false);
-        }
-        separation.record_settle(&mut recorder, buffers);
+        let (mut outcome, recorder) =
+            rounds.search(recorder, true, |recorder, round, update| {
+                let with = (solver, round.tolerance, round.number > 1);
+                let (outcome, mut times, updated) =
+                    solve.solve_then(gpu, recorder, with, update)?;
+                seconds.append(&mut times);
+                iterations += outcome.iterations;
+                Ok((outcome, updated))
+            })?;
+        outcome.iterations = iterations;
+        outcome.status = rounds.status(outcome.status);
+        self.readback.pressure = Some(outcome);
+        self.recorder = Some(recorder);
+        let report = rounds.report;
         liquid.n_separated = report.cells;
         liquid.separation = Some(report);
-        self.recorder = Some(recorder);
         Ok(())
     }
 

@@ -26,7 +26,7 @@ use super::chebyshev::Polynomial;
 use super::coupled_host::HostCoupled;
 use super::pcg::{Block, Pcg, State, Unknowns};
 use super::pressure::Pressure;
-use super::refine::{Form, Outcome, OuterLoop, Pace, Shared, System};
+use super::refine::{Aim, Form, Outcome, OuterLoop, Pace, Shared, System};
 use super::schur::{self, Prepared, Schur, check_formulation};
 use super::solid_contacts::ContactSearch;
 use super::two_field::Monolithic;
@@ -147,6 +147,35 @@ impl<'a> Case<'a> {
     }
 }
 
+/// Form of the corrections of a sub-step.
+#[derive(Debug)]
+pub(crate) struct CorrectionForm<'a> {
+    at: CoupledFields<'a>,
+    degree: usize,
+    prepared: Option<(&'a Schur, Prepared<'a>)>,
+}
+
+impl CorrectionForm<'_> {
+    fn condenses(&self) -> bool {
+        !matches!(self.prepared, None | Some((_, Prepared::Monolithic)))
+    }
+
+    fn case(&self, again: bool) -> Case<'_> {
+        Case {
+            form: match &self.prepared {
+                Some((schur, Prepared::Schur(inverse))) => {
+                    Form::Schur(schur.elimination(self.at, inverse))
+                }
+                Some((_, Prepared::Singular)) => Form::Singular,
+                Some((_, Prepared::Monolithic)) | None => Form::Monolithic,
+            },
+            sized: self.prepared.is_some(),
+            again,
+            ..Case::new(self.at, self.degree)
+        }
+    }
+}
+
 /// Kernels of both forms, and those of the residual.
 #[derive(Debug)]
 struct Coupled {
@@ -217,41 +246,83 @@ impl CoupledSolver {
     pub fn solve(
         &self,
         gpu: &Gpu,
-        mut recorder: Recorder,
+        recorder: Recorder,
         at: CoupledFields,
         polynomial: &Polynomial,
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
-        let system = &self.outer.system;
-        let mut times = StageTimes::new();
-        let mut case = Case {
-            again,
-            ..Case::new(at, polynomial.degree as usize)
-        };
-        let prepared;
-        if let Some(schur) = &system.schur {
-            let mut stages;
-            (prepared, stages) = schur.prepare(gpu, recorder, at, polynomial, |pass| {
-                pass.dispatch(&system.args, 1);
-            })?;
-            times.append(&mut stages);
-            recorder = Recorder::timed(gpu);
-            case.sized = true;
-            case.form = match &prepared {
-                Prepared::Schur(inverse) => Form::Schur(schur.elimination(at, inverse)),
-                Prepared::Monolithic => Form::Monolithic,
-                Prepared::Singular => Form::Singular,
-            };
-        }
-        let monolithic = matches!(case.form, Form::Monolithic);
-        if monolithic {
-            gpu.upload(&self.polynomial, &[*polynomial]);
-        } else {
-            self.outer.clear(gpu, case);
-        }
+        let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
+        let case = form.case(again);
+        self.clear(gpu, case);
         let (outcomes, mut stages) = self.outer.solve(gpu, recorder, case)?;
         times.append(&mut stages);
-        Ok((CoupledOutcome::new(&outcomes, !monolithic), times))
+        Ok((CoupledOutcome::new(&outcomes, form.condenses()), times))
+    }
+
+    /// Decides on the form of the corrections of this sub-step, as [`CoupledSolver::solve`] does. Returns the recording to go on with.
+    pub(crate) fn prepare<'a>(
+        &'a self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        at: CoupledFields<'a>,
+        polynomial: &Polynomial,
+    ) -> Result<(CorrectionForm<'a>, Recorder, StageTimes), Error> {
+        let system = &self.outer.system;
+        let mut form = CorrectionForm {
+            at,
+            degree: polynomial.degree as usize,
+            prepared: None,
+        };
+        let (mut recorder, mut times) = (recorder, StageTimes::new());
+        if let Some(schur) = &system.schur {
+            let (prepared, stages) = schur.prepare(gpu, recorder, at, polynomial, |pass| {
+                pass.dispatch(&system.args, 1);
+            })?;
+            times = stages;
+            recorder = Recorder::timed(gpu);
+            form.prepared = Some((schur, prepared));
+        }
+        if !form.condenses() {
+            gpu.upload(&self.polynomial, &[*polynomial]);
+        }
+        Ok((form, recorder, times))
+    }
+
+    /// Solves in a form that was prepared to another tolerance, with more work at the end of every submission. The active cells may be
+    /// fewer than those that the form was prepared for. Returns whether that work has read the solution. `again`: the right-hand side of
+    /// the last solve.
+    pub(crate) fn solve_then(
+        &self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        form: &CorrectionForm,
+        (tolerance, again): (f64, bool),
+        then: &mut dyn FnMut(&mut Recorder),
+    ) -> Result<(CoupledOutcome, StageTimes, bool), Error> {
+        let case = Case {
+            sized: false,
+            ..form.case(again)
+        };
+        self.clear(gpu, case);
+        let aim = Aim {
+            tolerance,
+            guess: false,
+        };
+        let (outcomes, times, read) = self.outer.solve_then(gpu, recorder, case, aim, then)?;
+        let outcome = CoupledOutcome::new(&outcomes, form.condenses());
+        Ok((outcome, times, read))
+    }
+
+    /// Before a solve in the Schur-complement form: nothing is left of a monolithic one.
+    fn clear(&self, gpu: &Gpu, case: Case) {
+        if !matches!(case.form, Form::Monolithic) {
+            self.outer.clear(gpu, case);
+        }
+    }
+
+    /// Tolerance of both residuals.
+    pub(crate) fn tolerance(&self) -> f64 {
+        self.outer.tolerance()
     }
 
     /// From the next solve on, another tolerance of both residuals.

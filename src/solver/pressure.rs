@@ -5,13 +5,12 @@ use crate::fields::SolverBuffers;
 use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Recorder, StageTimes};
 use crate::scene::{Preconditioner, Solver};
-use crate::state::SolveStatus;
 use crate::wgsl;
 
 use super::hierarchy::Hierarchy;
 use super::host_residual::HostPressure;
 use super::pcg::{Block, Pcg, State, Unknowns};
-use super::refine::{Outcome, OuterLoop, Pace, Shared, System};
+use super::refine::{Aim, Outcome, OuterLoop, Pace, Shared, System};
 use super::{BLOCK, OMEGA, Sweep};
 
 /// The solve of a step: everything between a right-hand side and its potential.
@@ -45,19 +44,17 @@ impl PressureSolver {
         Ok((outcomes[0], times))
     }
 
-    /// The same to a tolerance from now on, with more work that reads the solution at the end of every submission, and whether the last
-    /// one had it. `guess`: the correction in the buffers is a guess; the host, where it refines, has no use for one.
+    /// The same to another tolerance, with more work at the end of every submission. Returns whether that work has read the solution.
+    /// `guess`: the correction in the buffers is a guess.
     pub(crate) fn solve_then(
-        &mut self,
+        &self,
         gpu: &Gpu,
         recorder: Recorder,
         (buffers, tolerance, guess): (&SolverBuffers, f64, bool),
         then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(Outcome, StageTimes, bool), Error> {
-        let guess = guess && self.0.ends_on_device();
-        self.0.set_start(gpu, tolerance, guess);
-        let (outcomes, times) = self.0.solve_then(gpu, recorder, buffers, then)?;
-        let read = outcomes[0].status == SolveStatus::Converged && self.0.ends_on_device();
+        let aim = Aim { tolerance, guess };
+        let (outcomes, times, read) = self.0.solve_then(gpu, recorder, buffers, aim, then)?;
         Ok((outcomes[0], times, read))
     }
 

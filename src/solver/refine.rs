@@ -192,6 +192,15 @@ pub(super) struct HostResidual {
     pub(super) dd: f64,
 }
 
+/// Accuracy and start of a solve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aim {
+    /// Of |r|, relative to the right-hand side.
+    pub(super) tolerance: f64,
+    /// Whether the solve starts from the correction as it stands, unless zero is better.
+    pub(super) guess: bool,
+}
+
 /// The solve of a system.
 #[derive(Debug)]
 pub(super) struct OuterLoop<S> {
@@ -322,31 +331,34 @@ impl<S: System> OuterLoop<S> {
         })
     }
 
-    /// Tolerance of the next solves, and whether they start from the correction as it stands, unless zero is better.
-    pub(super) fn set_start(&mut self, gpu: &Gpu, tolerance: f64, guess: bool) {
-        self.solver.tolerance = tolerance;
-        let mut settings = self.settings();
-        if guess {
-            settings.guess = 1.0;
-        }
-        gpu.upload(&self.settings, &[settings]);
-    }
-
     pub(super) fn tolerance(&self) -> f64 {
         self.solver.tolerance
     }
 
-    /// Whether the device decides when a solve is over.
-    pub(super) fn ends_on_device(&self) -> bool {
-        !self.on_host
-    }
-
     pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
-        self.set_start(gpu, tolerance, false);
+        self.solver.tolerance = tolerance;
+        gpu.upload(&self.settings, &[self.settings(self.aim())]);
     }
 
-    fn settings(&self) -> RefineSettings {
-        RefineSettings::new(&self.solver, self.variant, S::GUESSES, self.n_blocks)
+    /// As set for all solves.
+    fn aim(&self) -> Aim {
+        Aim {
+            tolerance: self.solver.tolerance,
+            guess: S::GUESSES,
+        }
+    }
+
+    /// Settings of the solver to a tolerance.
+    fn solver_to(&self, tolerance: f64) -> Solver {
+        Solver {
+            tolerance,
+            ..self.solver
+        }
+    }
+
+    fn settings(&self, aim: Aim) -> RefineSettings {
+        let solver = self.solver_to(aim.tolerance);
+        RefineSettings::new(&solver, self.variant, aim.guess, self.n_blocks)
     }
 
     /// Correction, true residuals and acceptance, where a refinement step is over.
@@ -376,16 +388,34 @@ impl<S: System> OuterLoop<S> {
         recorder: Recorder,
         case: S::Case<'_>,
     ) -> Result<(Vec<Outcome>, StageTimes), Error> {
-        self.solve_then(gpu, recorder, case, &mut |_| {})
+        self.solve_from(gpu, recorder, case, self.aim(), &mut |_| {})
     }
 
-    /// The same, with more work at the end of every submission: after the last one it has read the solution, provided that the
-    /// solve converged and that [`OuterLoop::ends_on_device`].
+    /// The same with another aim, and with more work at the end of every submission. Returns whether that work has read the solution.
     pub(super) fn solve_then(
+        &self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        case: S::Case<'_>,
+        aim: Aim,
+        then: &mut dyn FnMut(&mut Recorder),
+    ) -> Result<(Vec<Outcome>, StageTimes, bool), Error> {
+        // The host, where it refines, has no use for a guess.
+        let guess = aim.guess && !self.on_host;
+        let aim = Aim { guess, ..aim };
+        gpu.upload(&self.settings, &[self.settings(aim)]);
+        let (outcomes, times) = self.solve_from(gpu, recorder, case, aim, then)?;
+        gpu.upload(&self.settings, &[self.settings(self.aim())]);
+        let read = outcomes[0].status == SolveStatus::Converged && !self.on_host;
+        Ok((outcomes, times, read))
+    }
+
+    fn solve_from(
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
         case: S::Case<'_>,
+        aim: Aim,
         then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(Vec<Outcome>, StageTimes), Error> {
         let mut times = StageTimes::new();
@@ -399,7 +429,7 @@ impl<S: System> OuterLoop<S> {
             }
         });
         if self.on_host {
-            let outcomes = self.solve_on_host(gpu, recorder, case, &mut times)?;
+            let outcomes = self.solve_on_host(gpu, recorder, case, aim, &mut times)?;
             return Ok((outcomes, times));
         }
         loop {
@@ -652,6 +682,7 @@ impl<S: System> OuterLoop<S> {
         gpu: &Gpu,
         recorder: Recorder,
         case: S::Case<'_>,
+        aim: Aim,
         times: &mut StageTimes,
     ) -> Result<Vec<Outcome>, Error> {
         let mut reading = self.submit(gpu, recorder, case, None, times)?;
@@ -673,7 +704,7 @@ impl<S: System> OuterLoop<S> {
         let mut residuals = system.residuals(&x);
         let Reading { norms, control, .. } = &mut reading;
         system.complete(&residuals, norms, control);
-        let mut acceptance = Acceptance::new(&self.solver, &self.settings());
+        let mut acceptance = Acceptance::new(&self.solver_to(aim.tolerance), &self.settings(aim));
         let mut worst = acceptance.worst(&residuals, &reading.norms);
         let status = loop {
             if !worst.is_finite() {

@@ -6,13 +6,13 @@
 
 use crate::Error;
 use crate::fields::pressure_system::FOLD_THREADS;
-use crate::fields::{LiquidBuffers, SolverBuffers};
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Kernel, Readback, Recorder};
+use crate::fields::{CouplingBuffers, LiquidBuffers, SolverBuffers};
+use crate::gpu::{Arrays, Bound, Buffer, Dispatches, Gpu, Kernel, Readback, RealBuffer, Recorder};
 use crate::scene::Separation as Mode;
 use crate::step::Stage;
 use crate::wgsl;
 
-use super::{Components, FreeSurface, PressureSystem};
+use super::{Components, FreeSurface, PressureSystem, Seal};
 
 /// Largest number of rounds, and the first round whose cells, once let back, do not separate again: as in the twin.
 pub const MAX_ROUNDS: u32 = 12;
@@ -182,7 +182,7 @@ impl Separation {
         &self,
         to: &mut Recorder,
         (liquid, solver): (&LiquidBuffers, &SolverBuffers),
-        (unmasked, components): (&PressureSystem, &Components),
+        (unmasked, components, seal): (&PressureSystem, &Components, Option<&Seal>),
         masks: bool,
     ) {
         to.stage(Stage::Solve.name(), |pass| {
@@ -191,7 +191,7 @@ impl Separation {
             }
             let system = if masks { &self.masked } else { unmasked };
             system.record(pass, solver, liquid.within());
-            components.label(pass, solver, None);
+            components.label(pass, solver, seal);
         });
     }
 
@@ -240,4 +240,25 @@ impl Separation {
             pass.dispatch_indirect(&self.settle, &liquid.band_args, 0);
         });
     }
+}
+
+/// After a solve for liquid and solids: the right-hand side of the separated cells less the flux of the nodes, as the other cells have
+/// it. `velocity`: of the nodes, m/s. `None` without the effect.
+pub fn separated_flux(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    solver: &SolverBuffers,
+    coupling: &CouplingBuffers,
+    velocity: &RealBuffer,
+) -> Result<Option<Dispatches>, Error> {
+    let Some(separated) = &liquid.separated else {
+        return Ok(None);
+    };
+    let gpu = &gpu.at(Stage::Solve.name());
+    let own = [("flags", separated.into()), ("x", velocity.into())];
+    let tables: &[&dyn Arrays] = &[coupling, solver];
+    let kernel = Kernel::new(gpu, &wgsl!("separation_flux"), solver.variant.real)?;
+    let bound = kernel.bind(gpu, &own, tables)?;
+    let list = vec![bound.threads(coupling.size.quads)];
+    Ok(Some(Dispatches::new(Stage::Solve.name(), list)))
 }

@@ -9,7 +9,7 @@ use cutwater::effects::Effects;
 use cutwater::gpu::{AdapterChoice, AdapterReport};
 use cutwater::grid::Axis;
 use cutwater::scene::{Precision, Scene};
-use cutwater::sim::{Backend, Plan, Simulation, check_kernels, solids_of};
+use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
 
 use crate::cli::{complains, cutwater, ends, folder, text};
@@ -897,20 +897,5 @@ fn effects_of_solids_say_why_they_are_there() {
             loads: false,
             ..whole
         }
-    );
-}
-
-#[test]
-fn separation_beside_solids_is_planned_for_the_cpu_alone() {
-    let liquid = scene("dam_break_liquid", 0.25, &["liquid.separation=walls"]);
-    assert!(check_kernels(&liquid).is_ok());
-    let scene = scene("dam_break", 0.25, &["liquid.separation=walls"]);
-    assert!(Plan::new(&scene, None).is_ok());
-    let error = check_kernels(&scene).unwrap_err();
-    assert_eq!(error.exit_code(), 2);
-    let told = error.to_string();
-    assert!(
-        told.contains("liquid.separation") && told.contains("--backend cpu"),
-        "{told}"
     );
 }

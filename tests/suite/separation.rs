@@ -351,7 +351,7 @@ fn pressures_and_openings_are_complementary() {
 }
 
 /// A rubber block that a script of its upper side pulls out of the water.
-fn pulled_block() -> String {
+pub(crate) fn pulled_block() -> String {
     let block = "[[solid]]\nname = \"block\"\nmesh = { box = { size = [0.4, 0.3, 0.2], cells = [4, 3, 1] } }\n\
                  placement = { translate = [0.5, 0.52, 0.125] }\ndensity = 900\nyoung = 1e5\npoisson = 0.3\n\
                  [[solid.script]]\nregion = { box = { min = [0, 0.6, -1], max = [1, 1, 1] } }\n\

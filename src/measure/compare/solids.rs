@@ -411,6 +411,7 @@ impl<'a> SolidComparison<'a> {
             ..self.scene.solver
         };
         let solve = |(active, rhs), solid, coupling: &Coupling, density| {
+            let active = (active, &*both.liquid.separated);
             let system = coupled_system(active, rhs, solid, coupling, density);
             let form = Formulation::of(&system);
             reference::solve_coupled(&system, form, &self.solver, solids, &exact)
