@@ -152,7 +152,8 @@ fn elastic_bodies() -> [(&'static str, String); 3] {
                 placement = { translate = [0.5, 0.36, 0.125] }\ndensity = 200\nyoung = 1e5\npoisson = 0.3\n\
                 initial = { velocity = [0.3, 2.5, 0] }\n";
     let with = |level: f64, body: &str| {
-        let text = format!("separation = \"walls\"\n{}{body}", filled([1.0, level]));
+        let liquid = "separation = \"walls\"\nvolume_control = false\n".to_owned();
+        let text = liquid + &filled([1.0, level]) + body;
         domain([20, 20, 5], 1.0 / 20.0, -GRAVITY, &text)
     };
     [
