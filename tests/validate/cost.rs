@@ -37,6 +37,7 @@ const CLASSES: &[(Class, &str)] = &[
     (Quick, "F4/coarse"),
     (Default, "F4|F5|F7|F8|F10|F12|volume"),
     (Default, "F5/square"),
+    (Default, "F8/separated"),
     (Default, "F13/*"),
     // Informational: without volume control.
     (Full, "volume/without"),

@@ -14,6 +14,7 @@ pub(crate) fn cases() -> Vec<Case> {
         Case::new("F5/square", square_tank),
         Case::new("F7", u_tube),
         Case::new("F8", slot),
+        Case::new("F8/separated", slot_with_separation),
         Case::new("F9", ritter),
         Case::new("F10", solitary_wave),
         Case::new("F12", impact),
@@ -169,40 +170,64 @@ fn u_tube(sheet: &mut Sheet) {
     swing.watch(&text, aside, sheet);
 }
 
-/// F8: a tank runs dry through a slot in its floor, 12 cells wide, a twentieth of the tank; half of both, beside a wall. sqrt(h) falls by
-/// C (b / W) sqrt(g / 2) in a second (Torricelli), C = pi / (pi + 2) for the sharp edges of a slot in the plane (Kirchhoff).
-fn slot(sheet: &mut Sheet) {
-    let (width, dx) = (1.0, 1.0 / 120.0);
-    let (half, floor) = (6.0 * dx, 8.0 * dx);
+/// A tank of 1 m that runs dry through a slot in its floor, a tenth of the tank; half of both, beside a wall. `half`: cells of the half
+/// slot. `keys`: of `[time]`, then of `[liquid]`. sqrt(h) falls by C (b / W) sqrt(g / 2) in a second (Torricelli), C = pi / (pi + 2) for the
+/// sharp edges of a slot in the plane (Kirchhoff).
+fn tank_with_slot(half: usize, keys: [&str; 2]) -> String {
+    let dx = SLOT / half as f64;
+    let [time, liquid] = keys;
     // The floor is two cells thick and has air below it: the jet parts from its edge.
-    let text = format!(
-        "[domain]\nsize = [{width}, {}, {}]\ncells = [120, 84, 2]\nopen = [\"-y\"]\n[time]\nduration = 10\nframes_per_second = 48\n\
-         [[obstacle]]\nbox = {{ min = [{half}, {}, -1], max = [2, {floor}, 1] }}\n\
-         [[liquid.region]]\nbox = {{ min = [0, {floor}, 0], max = [{width}, {}, 1] }}\n\
-         [[probe]]\nname = \"level\"\nheight = {{ x = {}, z = {dx} }}\n",
-        84.0 * dx,
+    format!(
+        "[domain]\nsize = [1, {}, {}]\ncells = [{}, {}, 2]\nopen = [\"-y\"]\n[time]\nduration = 10\nframes_per_second = 48\n{time}\n\
+         [liquid]\n{liquid}\n\
+         [[obstacle]]\nbox = {{ min = [{SLOT}, {}, -1], max = [2, {SLOT_FLOOR}, 1] }}\n\
+         [[liquid.region]]\nbox = {{ min = [0, {SLOT_FLOOR}, 0], max = [1, {}, 1] }}\n\
+         [[probe]]\nname = \"level\"\nheight = {{ x = 0.7, z = {dx} }}\n",
+        14.0 * SLOT,
         2.0 * dx,
-        floor - 2.0 * dx,
-        floor + 72.0 * dx,
-        0.7 * width,
-    );
+        20 * half,
+        14 * half,
+        SLOT_FLOOR - 2.0 * dx,
+        SLOT_FLOOR + SLOT_DEPTH,
+    )
+}
+
+/// Width of the half slot, height of the floor, and depth of the water above it at first, m.
+const SLOT: f64 = 0.05;
+const SLOT_FLOOR: f64 = 4.0 / 3.0 * SLOT;
+const SLOT_DEPTH: f64 = 12.0 * SLOT;
+/// Fall of sqrt(h) in a second by Torricelli, m^(1/2)/s.
+fn torricelli() -> f64 {
+    SLOT * (0.5 * GRAVITY).sqrt()
+}
+
+/// Kirchhoff's contraction.
+const CONTRACTION: f64 = std::f64::consts::PI / (std::f64::consts::PI + 2.0);
+
+/// Slope of the line of least squares.
+fn slope(points: &[(f64, f64)]) -> f64 {
+    let n = points.len() as f64;
+    let [x, y] = [
+        points.iter().map(|(x, _)| x).sum::<f64>() / n,
+        points.iter().map(|(_, y)| y).sum::<f64>() / n,
+    ];
+    let across = points.iter().map(|(a, b)| (a - x) * (b - y));
+    across.sum::<f64>() / points.iter().map(|(a, _)| (a - x).powi(2)).sum::<f64>()
+}
+
+/// F8, by the level of the water, with 12 cells to the slot.
+fn slot(sheet: &mut Sheet) {
     // The quarter of a second in which the flow begins is left out.
-    let film = film(&text, 1.25);
+    let film = film(&tank_with_slot(6, ["", ""]), 1.25);
     let levels: Vec<(f64, f64)> = film
         .iter()
         .filter(|(t, _)| *t > 0.25)
-        .map(|(t, probes)| (*t, (probes[0] - floor).sqrt()))
+        .map(|(t, probes)| (*t, (probes[0] - SLOT_FLOOR).sqrt()))
         .collect();
-    let n = levels.len() as f64;
-    let [t, root] = [
-        levels.iter().map(|(t, _)| t).sum::<f64>() / n,
-        levels.iter().map(|(_, root)| root).sum::<f64>() / n,
-    ];
-    let across = levels.iter().map(|(a, b)| (a - t) * (b - root));
-    let slope = across.sum::<f64>() / levels.iter().map(|(a, _)| (a - t).powi(2)).sum::<f64>();
-    let whole = half / width * (0.5 * GRAVITY).sqrt();
-    let expected = std::f64::consts::PI / (std::f64::consts::PI + 2.0);
-    let theory = |c: f64| [0.25, 1.25].map(|at| [at, levels[0].1 - c * whole * (at - levels[0].0)]);
+    let theory = |c: f64| {
+        let fallen = |at: f64| c * torricelli() * (at - levels[0].0);
+        [0.25, 1.25].map(|at| [at, levels[0].1 - fallen(at)])
+    };
     sheet.chart(
         "tank that runs dry through a slot in its floor",
         ["t, s", "root of the level above the floor, m^(1/2)"],
@@ -211,7 +236,7 @@ fn slot(sheet: &mut Sheet) {
             Line::new(
                 "Torricelli, contracted",
                 Mark::Theory,
-                theory(expected).into(),
+                theory(CONTRACTION).into(),
             ),
             Line::new(
                 "Torricelli, not contracted",
@@ -221,7 +246,28 @@ fn slot(sheet: &mut Sheet) {
         ],
     );
     let what = "tank that runs dry through a slot in its floor: flow over that of Torricelli";
-    sheet.relative(what, expected, -slope / whole, 0.1);
+    sheet.relative(what, CONTRACTION, -slope(&levels) / torricelli(), 0.1);
+}
+
+/// F8/separated: by the volume that is left, since the level swings, with 24 cells to the slot, whose sides the water may leave.
+fn slot_with_separation(sheet: &mut Sheet) {
+    let half = 12;
+    let depth = 2.0 * SLOT / half as f64;
+    let text = tank_with_slot(half, ["cfl = 1", "separation = \"walls\""]);
+    let flow = format!(
+        "[[probe]]\nname = \"flow\"\nflux = {{ min = [0, {SLOT_FLOOR}, 0], max = [{SLOT}, {SLOT_FLOOR}, {depth}] }}\n"
+    );
+    let (mut left, mut time) = (SLOT_DEPTH * depth, 0.0);
+    let mut roots = Vec::new();
+    for (t, probes) in film(&(text + &flow), 0.5) {
+        left += probes[1] * (t - time);
+        time = t;
+        if t > 0.15 {
+            roots.push((t, (left / depth).sqrt()));
+        }
+    }
+    let what = "the same with liquid.separation = \"walls\", by volume, 24 cells to the slot: flow over that of Torricelli";
+    sheet.relative(what, CONTRACTION, -slope(&roots) / torricelli(), 0.05);
 }
 
 /// F9: Ritter 1892. The flood on a dry bed behind a dam, long after, but for its tip.
