@@ -85,7 +85,7 @@ def step_section(folder):
             parts.append(
                 f"{int(row['cells']):,} cells, {number(row['unknowns']):,.0f} pressures, {int(row['markers']):,} markers, {int(row['nodes']):,} nodes: "
                 f"{milliseconds(seconds)} ms a sub-step ({milliseconds(row['seconds_min'])} to {milliseconds(row['seconds_max'])}), "
-                f"{engineering(row['cells_per_second'])}cells/s, {percent(number(row['share_of_copy_bandwidth']))} of copy bandwidth. "
+                f"{engineering(row['cells_per_second'])}cells/s. "
                 f"{number(row['waits']):.1f} waits, {number(row['submissions']):.1f} submissions, {number(row['dispatches']):.0f} dispatches, "
                 f"{engineering(row['bytes_up'])}B up, {engineering(row['bytes_down'])}B down; nothing queued for {percent(number(row['idle_seconds']) / seconds)} "
                 f"of the time. {engineering(row['device_bytes'])}B of buffers."
@@ -96,14 +96,12 @@ def step_section(folder):
                     s["where"],
                     milliseconds(s["seconds_median"]),
                     percent(number(s["seconds_median"]) / seconds),
-                    engineering(s["bytes"]) + "B",
-                    percent(number(s["share_of_copy_bandwidth"])) if s["share_of_copy_bandwidth"] else "",
                     f"{number(s['dispatches']):.0f}",
                     f"{number(s['waits']):.1f}",
                 ]
                 for s in of_row
             ]
-            parts.append(table(["stage", "where", "ms", "of the sub-step", "bytes", "of copy bandwidth", "dispatches", "waits"], body))
+            parts.append(table(["stage", "where", "ms", "of the sub-step", "dispatches", "waits"], body))
     return ["## Sub-steps"] + parts if parts else []
 
 

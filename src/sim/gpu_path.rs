@@ -11,7 +11,7 @@ use crate::fields::Step;
 use crate::geometry::{
     self, ContactField, CutCells, ObstacleCut, Running, SolidClip, SourcesAndSinks,
 };
-use crate::gpu::{AdapterChoice, Gpu, Real};
+use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Grid;
 use crate::reference::{self, StepLimits, TimeStep};
 use crate::scene::Scene;
@@ -450,46 +450,6 @@ impl GpuPath {
         };
         let args = self.gpu.download(&liquid.buffers.band_args)?;
         Ok(4 * args[3] as usize)
-    }
-
-    /// Fraction of active quads that are not tagged uniform, so that the solve loads their matrix.
-    pub fn share_not_uniform(&self) -> Result<f64, Error> {
-        let Some(liquid) = &self.liquid else {
-            return Ok(0.0);
-        };
-        let flags = self.gpu.download(&liquid.solver.flags)?;
-        let active = flags[..self.grid.padded().quads]
-            .iter()
-            .filter(|&&flag| flag != 0);
-        let (mut n_active, mut n_uniform) = (0u32, 0u32);
-        for flag in active {
-            n_active += 1;
-            n_uniform += flag >> 31;
-        }
-        Ok(1.0 - f64::from(n_uniform) / f64::from(n_active.max(1)))
-    }
-
-    /// Number of wet nodes: nodes with patches in active cells of the last sub-step.
-    pub fn wet_nodes(&self) -> Result<usize, Error> {
-        let Some((liquid, coupling)) = self.liquid.as_ref().zip(self.coupling.as_ref()) else {
-            return Ok(0);
-        };
-        let flags = self.gpu.download(&liquid.solver.flags)?;
-        let padded = self.grid.padded();
-        let active = |cell: usize| {
-            let index = padded.index(self.grid.cell_at(cell));
-            flags[index / 4] >> (index % 4) & 1 == 1
-        };
-        let pairs = coupling.clip.coupling().pairs().iter();
-        let wet = pairs.filter(|pair| active(pair.cell));
-        let wet: BTreeSet<usize> = wet.map(|pair| pair.node).collect();
-        Ok(wet.len())
-    }
-
-    /// Bytes per scalar of the solve's unknowns and of its corrections.
-    pub fn scalar_bytes(&self) -> [usize; 2] {
-        let variant = crate::fields::variant(self.gpu.has_f64(), self.scene.solver.precision);
-        [variant.real, variant.inner].map(Real::bytes)
     }
 
     /// The grid.

@@ -1,7 +1,7 @@
 //! The skeleton of the benches: values and tables, statistics, recommendations, verdicts, room for grids.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cutwater::Error;
 use cutwater::gpu::AdapterReport;
@@ -14,9 +14,10 @@ use cutwater::measure::bench::solve::{Capacity, PER_CELL};
 use cutwater::measure::bench::statistics::{Exponents, Spread, exponent};
 use cutwater::measure::bench::step::{largest, units};
 use cutwater::measure::bench::table::Row;
-use cutwater::measure::bench::{Event, Settings};
+use cutwater::measure::bench::{Event, Listener, Results, Settings};
 use cutwater::scene::{Precision, Solver};
 use cutwater::state::{SolveReport, SolveStatus};
+use tempfile::TempDir;
 
 /// Settings of a bench in a test.
 pub(crate) fn settings(out: &Path, repeats: usize) -> Settings {
@@ -31,6 +32,66 @@ pub(crate) fn settings(out: &Path, repeats: usize) -> Settings {
 /// Counts the rows that a bench tells.
 pub(crate) fn counted(told: &mut usize) -> impl FnMut(Event) {
     |event| *told += usize::from(matches!(event, Event::Row(..)))
+}
+
+/// A bench in a folder of its own.
+pub(crate) struct Measured {
+    folder: TempDir,
+    pub(crate) results: Results,
+    /// Rows that the bench told.
+    pub(crate) told: usize,
+}
+
+/// Runs a bench.
+pub(crate) fn measured(
+    repeats: usize,
+    bench: impl FnOnce(&Settings, Listener) -> Result<Results, Error>,
+) -> Measured {
+    let (folder, mut told) = (tempfile::tempdir().unwrap(), 0);
+    let settings = settings(folder.path(), repeats);
+    let results = bench(&settings, &mut counted(&mut told)).unwrap();
+    Measured {
+        folder,
+        results,
+        told,
+    }
+}
+
+impl Measured {
+    pub(crate) fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub(crate) fn text(&self, name: &str) -> String {
+        fs::read_to_string(self.file(name)).unwrap()
+    }
+
+    pub(crate) fn rows(&self, table: &str) -> &[Row] {
+        self.results.rows(table)
+    }
+
+    /// Every file has something in it, and no number that is none; JSON has no key twice.
+    pub(crate) fn assert_written(&self, files: &[&str]) {
+        for file in files {
+            let text = self.text(file);
+            assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
+            if file.ends_with(".json") {
+                crate::common::json(text);
+            }
+        }
+    }
+}
+
+/// Numbers of a row.
+pub(crate) fn numbers<const N: usize>(row: &Row, names: [&str; N]) -> [f64; N] {
+    names.map(|name| row.number(name))
+}
+
+/// Least, median and largest value of a column are above 0 and in order.
+pub(crate) fn assert_spread(row: &Row, name: &str) {
+    let [least, median, most] = ["min", "median", "max"].map(|end| format!("{name}_{end}"));
+    let ends = numbers(row, [&least, &median, &most]);
+    assert!(ends[0] > 0.0 && ends.is_sorted(), "{row:?}");
 }
 
 /// A row of numbers and names.

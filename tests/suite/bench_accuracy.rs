@@ -10,7 +10,7 @@ use cutwater::measure::bench::table::Row;
 use cutwater::reference::larger;
 use cutwater::scene::{Formulation, Precision, Preconditioner, Scene};
 
-use crate::bench::{counted, settings};
+use crate::bench::{assert_spread, counted, measured, numbers, settings};
 use crate::common::gpu;
 
 fn options(name: &str, scale: f64, overrides: &[&str]) -> Options {
@@ -31,53 +31,37 @@ fn options(name: &str, scale: f64, overrides: &[&str]) -> Options {
 
 #[test]
 fn errors_follow_the_tolerance() {
-    if gpu().is_none() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
+    let Some(_) = gpu() else { return };
     for (name, scale, forms) in [
         ("compressibility", 0.12, &["two-field", "condensed"][..]),
         ("hydrostatic_block", 0.4, &["apart"]),
         ("hanging_beam", 1.0, &["apart"]),
     ] {
         let options = options(name, scale, &[]);
-        let mut told = 0;
-        let table = measure(
-            &options,
-            &settings(folder.path(), 1),
-            &mut counted(&mut told),
-        )
-        .unwrap();
+        let table = measured(1, |settings, listener| {
+            measure(&options, settings, listener)
+        });
         // In f32 there is no condensed form.
         let rows = 3 * (1 + forms.len());
-        assert_eq!([told, table.rows("accuracy").len()], [rows; 2], "{name}");
+        let told = [table.told, table.rows("accuracy").len()];
+        assert_eq!(told, [rows; 2], "{name}");
         for row in table.rows("accuracy") {
             assert!(forms.contains(&row.text("formulation")), "{row:?}");
+            let residuals = numbers(row, ["residual_p", "residual_v"]);
+            let (residual, tolerance) = (residuals[0].max(residuals[1]), row.number("tolerance"));
             // What f32 stores rounds a residual of 1e-6 away.
-            let rounds = row.text("precision") == "f32"
-                && row.number("residual_p").max(row.number("residual_v")) > row.number("tolerance");
+            let rounds = row.text("precision") == "f32" && residual > tolerance;
             let expected = ["converged", "converged_to_rounding"][usize::from(rounds)];
             assert_eq!(row.text("status"), expected, "{row:?}");
-            assert!(
-                row.number("residual_p").max(row.number("residual_v"))
-                    <= row.number("tolerance").max(1e-5),
-                "{row:?}"
-            );
-            let ordered = row.number("seconds_min") <= row.number("seconds_median")
-                && row.number("seconds_median") <= row.number("seconds_max");
-            assert!(ordered && row.number("seconds_min") > 0.0, "{row:?}");
+            assert!(residual <= tolerance.max(1e-5), "{row:?}");
+            assert_spread(row, "seconds");
             // What the device stores in f32 is off by a part in 1e7, which weak supports of the surface make more of.
-            assert!(
-                row.number("step_error_p") <= 1e-2 && row.number("step_error_v") <= 1e-2,
-                "{row:?}"
-            );
+            let [p, v] = numbers(row, ["step_error_p", "step_error_v"]);
+            assert!(p <= 1e-2 && v <= 1e-2, "{row:?}");
             if row.text("precision") == "mixed" {
                 // Errors are the tolerance times a condition number of some hundreds; the last keeps what f64 leaves.
-                let bound = 300.0 * row.number("tolerance");
-                assert!(
-                    row.number("error_p") <= bound && row.number("error_v") <= bound,
-                    "{row:?}"
-                );
+                let [p, v] = numbers(row, ["error_p", "error_v"]);
+                assert!(p.max(v) <= 300.0 * tolerance, "{row:?}");
             }
         }
         for form in forms {
@@ -90,18 +74,11 @@ fn errors_follow_the_tolerance() {
                 table.rows("accuracy").iter().find(found).unwrap()
             };
             let (loose, tight) = (row(1e-3), row(1e-9));
-            let pressures = [tight.number("error_p"), loose.number("error_p")];
-            let velocities = [tight.number("error_v"), loose.number("error_v")];
-            for (unknowns, [tight, loose]) in [
-                (loose.count("unknowns"), pressures),
-                (loose.count("solid_unknowns"), velocities),
-            ] {
+            for (unknowns, error) in [("unknowns", "error_p"), ("solid_unknowns", "error_v")] {
                 // A part of the six decades that the tolerance falls.
-                let falls = 10.0 * tight < loose;
-                assert!(
-                    unknowns == 0 || falls,
-                    "{name}, {form}: {tight:e} {loose:e}"
-                );
+                let falls = 10.0 * tight.number(error) < loose.number(error);
+                let none = loose.count(unknowns) == 0;
+                assert!(none || falls, "{name}, {form}: {tight:?} {loose:?}");
             }
         }
         assert!(!table.rows("accuracy_best").is_empty(), "{name}");
@@ -110,16 +87,11 @@ fn errors_follow_the_tolerance() {
                 larger(row.number("error_p"), row.number("error_v")) <= best.number("target")
             };
             let meeting: Vec<&Row> = table.rows("accuracy").iter().filter(meets).collect();
-            let fastest = meeting
+            let ends = meeting
                 .iter()
-                .min_by(|a, b| {
-                    a.number("seconds_median")
-                        .total_cmp(&b.number("seconds_median"))
-                })
-                .unwrap();
-            let most = fastest
-                .number("seconds_max")
-                .min(1.25 * fastest.number("seconds_median"));
+                .map(|row| numbers(row, ["seconds_median", "seconds_max"]));
+            let fastest = ends.min_by(|a, b| a[0].total_cmp(&b[0])).unwrap();
+            let most = fastest[1].min(1.25 * fastest[0]);
             // f32 before mixed and loose before tight, where the spread of the fastest does not tell them apart; but a row for a lower error that
             // takes no longer stands for this one, too.
             let way = |best: &Row| best.only(&["precision", "formulation", "tolerance"]);
@@ -139,24 +111,16 @@ fn errors_follow_the_tolerance() {
                     && row.number("tolerance") > best.number("tolerance");
                 assert!(!simpler && (!looser || stands_for_more), "{best:?} {row:?}");
             }
-            let ordered = best.number("seconds_min") <= best.number("seconds_median")
-                && best.number("seconds_median") <= best.number("seconds_max");
-            assert!(ordered, "{best:?}");
+            assert_spread(best, "seconds");
             let error = larger(best.number("error_p"), best.number("error_v"));
             assert!(error <= best.number("target"), "{best:?}");
         }
-    }
-    for file in [
-        "accuracy.csv",
-        "accuracy_best.csv",
-        "accuracy.json",
-        "accuracy.svg",
-    ] {
-        let text = fs::read_to_string(folder.path().join(file)).unwrap();
-        assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
-        if file.ends_with(".json") {
-            crate::common::json(text);
-        }
+        table.assert_written(&[
+            "accuracy.csv",
+            "accuracy_best.csv",
+            "accuracy.json",
+            "accuracy.svg",
+        ]);
     }
 }
 
@@ -164,10 +128,7 @@ fn errors_follow_the_tolerance() {
 /// for the 169 at the floor and about as many at the block, so that |b| is below 20.
 #[test]
 fn divergence_and_balance_follow_the_tolerance() {
-    if gpu().is_none() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
+    let Some(_) = gpu() else { return };
     let options = Options {
         precisions: vec![Precision::Mixed],
         preconditioners: vec![Preconditioner::Multigrid, Preconditioner::Jacobi],
@@ -179,12 +140,12 @@ fn divergence_and_balance_follow_the_tolerance() {
     let per_second = fall / scene.grid().dx;
     // What f32 velocities of g dt leave, as in the tests of water at rest; the divergence is of six of them.
     let rounding = 2e-6;
-    let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
-    assert_eq!(table.rows("accuracy").len(), 6);
-    for rows in table
-        .rows("accuracy")
-        .chunk_by(|a, b| a.text("preconditioner") == b.text("preconditioner"))
-    {
+    let table = measured(1, |settings, listener| {
+        measure(&options, settings, listener)
+    });
+    let rows = table.rows("accuracy");
+    assert_eq!(rows.len(), 6);
+    for rows in rows.chunk_by(|a, b| a.text("preconditioner") == b.text("preconditioner")) {
         for row in rows {
             assert_eq!(row.text("status"), "converged", "{row:?}");
             let divergence = row.number("divergence") / per_second;
@@ -194,15 +155,8 @@ fn divergence_and_balance_follow_the_tolerance() {
             let bound = f64::max(100.0 * row.number("tolerance"), rounding);
             assert!(row.number("speed_over_g_dt") <= bound, "{row:?}");
         }
-        let (loose, tight) = (&rows[0], &rows[2]);
-        for [loose, tight] in [
-            [loose.number("error_p"), tight.number("error_p")],
-            [loose.number("divergence"), tight.number("divergence")],
-            [
-                loose.number("speed_over_g_dt"),
-                tight.number("speed_over_g_dt"),
-            ],
-        ] {
+        for name in ["error_p", "divergence", "speed_over_g_dt"] {
+            let [loose, tight] = [0, 2].map(|at: usize| rows[at].number(name));
             assert!(loose > 10.0 * tight, "{loose:e} {tight:e}: {rows:?}");
         }
     }
@@ -210,25 +164,19 @@ fn divergence_and_balance_follow_the_tolerance() {
 
 #[test]
 fn other_coupling_is_refused() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let options = options("dam_break", 0.12, &["solver.coupling=weak"]);
     let error = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap_err();
     assert_eq!(error.exit_code(), 2);
-    assert!(
-        error.to_string().contains("solver.coupling=strong"),
-        "{error}"
-    );
+    let cure = "solver.coupling=strong";
+    assert!(error.to_string().contains(cure), "{error}");
 }
 
 /// A second scene that cannot be solved, without solids for the blocks of the preconditioner, leaves the rows of the first.
 #[test]
 fn tables_are_written_as_their_rows_come() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     fs::write(file("accuracy_grids.csv"), "of an earlier run").unwrap();
@@ -254,19 +202,13 @@ fn tables_are_written_as_their_rows_come() {
 
 #[test]
 fn a_folder_that_cannot_be_written_is_told_before_any_row() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     fs::create_dir(folder.path().join("accuracy.json")).unwrap();
     let options = options("hydrostatic_block", 0.4, &[]);
     let mut told = 0;
-    let error = measure(
-        &options,
-        &settings(folder.path(), 1),
-        &mut counted(&mut told),
-    )
-    .unwrap_err();
+    let settings = settings(folder.path(), 1);
+    let error = measure(&options, &settings, &mut counted(&mut told)).unwrap_err();
     assert_eq!((error.exit_code(), told), (2, 0), "{error}");
     assert!(error.to_string().contains("accuracy.json"), "{error}");
 }
@@ -274,10 +216,7 @@ fn a_folder_that_cannot_be_written_is_told_before_any_row() {
 /// Errors of the problems that are known exactly fall with the cell size to where the tolerance holds them.
 #[test]
 fn errors_are_those_of_the_grid_or_of_the_tolerance() {
-    if gpu().is_none() {
-        return;
-    }
-    let folder = tempfile::tempdir().unwrap();
+    let Some(_) = gpu() else { return };
     let options = Options {
         scenes: Vec::new(),
         grids: vec![10, 20],
@@ -285,14 +224,10 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
         tolerances: vec![1e-1, 1e-8],
         ..options("dam_break", 0.12, &[])
     };
-    let mut told = 0;
-    let table = measure(
-        &options,
-        &settings(folder.path(), 1),
-        &mut counted(&mut told),
-    )
-    .unwrap();
-    assert_eq!([told, table.rows("accuracy_grids").len()], [12; 2]);
+    let table = measured(1, |settings, listener| {
+        measure(&options, settings, listener)
+    });
+    assert_eq!([table.told, table.rows("accuracy_grids").len()], [12; 2]);
     let row = |problem: &str, grid: usize, tolerance: f64| {
         let found = |row: &&Row| {
             row.text("problem") == problem
@@ -307,9 +242,9 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
         let ratio = coarse.number("grid_error_p") / fine.number("grid_error_p");
         assert!((2.5..8.0).contains(&ratio), "{coarse:?} {fine:?}");
         for row in [coarse, fine] {
-            let off = (row.number("error_p") / row.number("grid_error_p") - 1.0).abs();
+            let [all, grid] = numbers(row, ["error_p", "grid_error_p"]);
             assert!(
-                off < 0.02,
+                (all / grid - 1.0).abs() < 0.02,
                 "the solve adds to the error of the grid: {row:?}"
             );
         }
@@ -318,28 +253,15 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
         // Exact on every grid but for the solve, whose error is the tolerance times a condition number of some tens.
         let [loose, tight] = [1e-1, 1e-8].map(|tolerance| row("pool_at_rest", grid, tolerance));
         assert!(tight.number("grid_error_p") < 1e-12, "{tight:?}");
-        assert!(
-            tight.number("error_p") < 1e-6 && tight.number("error_u") < 1e-6,
-            "{tight:?}"
-        );
-        assert!(
-            loose.number("error_p") > 10.0 * tight.number("error_p"),
-            "{loose:?}"
-        );
+        let [p, u] = numbers(tight, ["error_p", "error_u"]);
+        assert!(p < 1e-6 && u < 1e-6, "{tight:?}");
+        assert!(loose.number("error_p") > 10.0 * p, "{loose:?}");
     }
-    for best in table.rows("accuracy_grids_best") {
-        let [least, most] = [best.number("seconds_min"), best.number("seconds_max")];
-        assert!(
-            (least..=most).contains(&best.number("seconds_median")) && least > 0.0,
-            "{best:?}"
-        );
-    }
+    let best = table.rows("accuracy_grids_best");
+    best.iter().for_each(|best| assert_spread(best, "seconds"));
     for enough in table.rows("accuracy_grids_enough") {
-        assert_eq!(
-            enough.has("tolerance"),
-            enough.has("seconds_min") && enough.has("seconds_max"),
-            "{enough:?}"
-        );
+        let timed = enough.has("seconds_min") && enough.has("seconds_max");
+        assert_eq!(enough.has("tolerance"), timed, "{enough:?}");
         let exact = enough.text("problem") == "pool_at_rest";
         assert_eq!(!enough.has("tolerance"), exact, "{enough:?}");
     }
@@ -354,13 +276,13 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
         "accuracy_grids_best.csv",
         "accuracy_grids_enough.csv",
     ] {
-        let text = fs::read_to_string(folder.path().join(file)).unwrap();
-        assert!(text.lines().count() > 2 && !text.contains("NaN"), "{file}");
+        assert!(table.text(file).lines().count() > 2, "{file}");
+        table.assert_written(&[file]);
     }
     let refused = Options {
         grids: vec![10, 15],
         ..options.clone()
     };
-    let error = measure(&refused, &settings(folder.path(), 1), &mut |_| ()).unwrap_err();
+    let error = measure(&refused, &settings(&table.file(""), 1), &mut |_| ()).unwrap_err();
     assert!(error.to_string().contains("multiples of 10"), "{error}");
 }

@@ -3,7 +3,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
 
 use cutwater::effects::Effects;
 use cutwater::gpu::AdapterChoice;
@@ -13,28 +12,23 @@ use cutwater::measure::bench::effects::{
 };
 use cutwater::measure::bench::table::Row;
 use cutwater::scene::Scene;
-use cutwater::sim::{Backend, Simulation};
 
-use crate::bench::{row, settings};
-use crate::common::gpu;
+use crate::bench::{numbers, row, settings};
+use crate::common::{gpu, on_gpu, project_scene, scene_from};
 
 #[test]
 fn effects_add_what_is_theirs() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let load = |name: &str, scale| {
-        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
-        let small = ["camera.size=[160, 90]".to_owned()];
-        Scene::load(&file, &small, scale).unwrap()
-    };
+    let load = |name: &str, scale| project_scene(name, scale, &["camera.size=[160, 90]"]);
     let options = Options {
-        scenes: vec![
-            load("dam_break", 0.12),
-            load("hydrostatic_block", 0.3),
-            load("gate", 0.5),
-        ],
+        scenes: [
+            ("dam_break", 0.12),
+            ("hydrostatic_block", 0.3),
+            ("gate", 0.5),
+        ]
+        .map(|(name, scale)| load(name, scale))
+        .to_vec(),
         frames: 2,
         adapter: AdapterChoice::Best,
     };
@@ -96,27 +90,19 @@ fn effects_add_what_is_theirs() {
         assert!(!row.flag("present") && row.count("pairs") == 2, "{row:?}");
         assert_timed(row);
         assert_eq!(row.text("kernels"), "", "{row:?}");
-        let added = [row.number("bytes_added"), row.number("dispatches_added")];
+        let added = numbers(row, ["bytes_added", "dispatches_added"]);
         assert_eq!(added, [0.0; 2], "{row:?}");
     }
     // Stages that neither part has, and what both have counted twice.
     let [both, no_liquid, no_solids] =
         [COUPLING, "liquid", "solids"].map(|effect| row("dam_break", effect));
     assert!(both.flag("present") && both.count("pairs") == 2, "{both:?}");
-    assert!(
-        both.text("kernels")
-            .split(' ')
-            .any(|kernel| kernel == "cut_quads"),
-        "{both:?}"
-    );
+    let mut kernels = both.text("kernels").split(' ');
+    assert!(kernels.any(|kernel| kernel == "cut_quads"), "{both:?}");
     assert_timed(both);
-    let together = |row: &Row| row.number("seconds_without");
+    let [whole, a, b] = [both, no_liquid, no_solids].map(|row| row.number("seconds_without"));
     // Medians of two pairs are their means, so that of a sum is the sum.
-    let parts = together(no_liquid) + together(no_solids);
-    assert!(
-        (together(both) / parts - 1.0).abs() <= 1e-12,
-        "{both:?} {no_liquid:?} {no_solids:?}"
-    );
+    assert!((whole / (a + b) - 1.0).abs() <= 1e-12, "{whole} {a} {b}");
     assert!(!row("gate", COUPLING).flag("present"));
     // Of the kinds of probes each has its row, and those that are there say so.
     for (scene, kinds) in [
@@ -134,12 +120,12 @@ fn effects_add_what_is_theirs() {
         for effect in [ABSENT, ITSELF] {
             let row = row(scene, effect);
             let counts = [
-                row.number("bytes_added"),
-                row.number("dispatches_added"),
-                row.number("solve_dispatches_added"),
+                "bytes_added",
+                "dispatches_added",
+                "solve_dispatches_added",
+                "dispatches_differ",
             ];
-            assert_eq!(counts, [0.0; 3], "{row:?}");
-            assert_eq!(row.number("dispatches_differ"), 0.0, "{row:?}");
+            assert_eq!(numbers(row, counts), [0.0; 4], "{row:?}");
             assert_eq!(row.text("seconds_told"), "too few pairs", "{row:?}");
             assert!(!row.has("seconds_told_low"), "{row:?}");
         }
@@ -159,45 +145,35 @@ fn effects_add_what_is_theirs() {
         rows.map(|row| (row.text("output"), row.flag("present")))
             .collect()
     };
-    let solid_and_liquid = [
-        ("read_back", true),
-        ("particles", true),
-        ("fields", false),
-        ("surface", false),
-        ("solids", true),
-        ("checkpoint", true),
-        ("preview", false),
+    let all = [
+        "read_back",
+        "particles",
+        "fields",
+        "surface",
+        "solids",
+        "checkpoint",
+        "preview",
     ];
+    let solid_and_liquid =
+        all.map(|name| (name, !["fields", "surface", "preview"].contains(&name)));
     assert_eq!(of_scene("dam_break"), solid_and_liquid);
-    assert!(
-        !of_scene("hydrostatic_block")
-            .iter()
-            .any(|(name, _)| *name == "solids")
-    );
+    let still = of_scene("hydrostatic_block");
+    assert!(still.iter().all(|(name, _)| *name != "solids"));
     assert!(of_scene("gate").contains(&("moving_obstacles", true)));
     for row in outputs {
-        let seconds = ["seconds_low", "seconds", "seconds_high"].map(|name| row.number(name));
-        assert!(
-            seconds.is_sorted() && seconds[0] >= 0.0 && row.count("frames") == 2,
-            "{row:?}"
-        );
-        assert_eq!(
-            row.number("bytes") > 0.0,
-            row.text("output") != "read_back",
-            "{row:?}"
-        );
+        let seconds = numbers(row, ["seconds_low", "seconds", "seconds_high"]);
+        assert!(seconds.is_sorted() && seconds[0] >= 0.0, "{row:?}");
+        let written = (row.count("frames"), row.number("bytes") > 0.0);
+        assert_eq!(written, (2, row.text("output") != "read_back"), "{row:?}");
     }
     // Three coordinates and three components of a velocity of four bytes for each marker, in base 64, and a little more.
-    let gate = Simulation::new(&load("gate", 0.5), &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let gate = on_gpu(&load("gate", 0.5));
     let markers = gate.state().unwrap().markers.len() as f64;
-    let particles = outputs
-        .iter()
-        .find(|row| row.text("scene") == "gate" && row.text("output") == "particles");
+    let particles = row! { scene: "gate", output: "particles" };
+    let particles = outputs.iter().find(|row| row.contains(&particles));
     let bytes = particles.unwrap().number("bytes");
-    assert!(
-        (32.0 * markers..60.0 * markers).contains(&bytes),
-        "{bytes} for {markers} markers"
-    );
+    let expected = 32.0 * markers..60.0 * markers;
+    assert!(expected.contains(&bytes), "{bytes} for {markers} markers");
     assert!(of_run.is_file(), "a frame of the run is gone");
     let left = folder.path().join(".bench_effects");
     assert!(!left.exists(), "frames were left");
@@ -241,11 +217,7 @@ const THREE_PROBES: &str = r#"probe=[{ name = "force", force = { solid = "raft" 
 /// A box of 8^3 cells with what is set.
 fn small(set: &[&str]) -> Scene {
     let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [8, 8, 8]\n[time]\nduration = 0.5\n";
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("small.toml");
-    fs::write(&file, text).unwrap();
-    let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&file, &set, 1.0).unwrap()
+    scene_from(text, set)
 }
 
 /// What a scene takes: bytes of its buffers by label, kernels, and stages and kernels of the dispatches of its first sub-step with its probes.
@@ -257,7 +229,7 @@ struct Taken {
 
 impl Taken {
     fn by(scene: &Scene) -> Taken {
-        let mut simulation = Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+        let mut simulation = on_gpu(scene);
         let mut bytes = BTreeMap::new();
         for (label, made) in simulation.gpu().unwrap().allocated() {
             *bytes.entry(label).or_default() += made;
@@ -277,9 +249,7 @@ impl Taken {
 /// Each effect is added to a scene and taken away again: what is left takes what the scene takes that never had it.
 #[test]
 fn effects_that_are_taken_away_leave_nothing() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let cases: [(&[&str], &[&str], &[&str]); 10] = [
         (
             &[POOL, "liquid.volume_control=false"],

@@ -119,7 +119,7 @@ fn found(browser: &str, page: &Path, width: u32) -> Value {
 }
 
 /// Commands that fill a folder each, all on the smallest there is to measure.
-const COMMANDS: [(&str, &str); 9] = [
+const COMMANDS: [(&str, &str); 8] = [
     ("run", "run dam.toml --backend cpu --frames 3 --preview"),
     ("plots", "plot results/run"),
     (
@@ -135,7 +135,6 @@ const COMMANDS: [(&str, &str); 9] = [
         "accuracy",
         "bench accuracy dam.toml --frames 1 --grids 10 --precision mixed --preconditioner multigrid --tolerance 1e-3,1e-6 --repeats 1",
     ),
-    ("solids", "bench solids --nodes 64,128 --repeats 1"),
     (
         "step",
         "bench step dam.toml --scale 0.5,1 --frames 2 --repeats 1",

@@ -18,15 +18,9 @@ use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
 use zip::{ZipArchive, ZipWriter};
 
-use crate::common::{Random, gpu};
+use crate::common::{Random, gpu, scene_from as scene};
 use crate::kills::{Run, assert_same, contents};
 use crate::output::python;
-
-fn scene(text: &str, overrides: &[&str]) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::parse(&folder.path().join("test.toml"), text, &overrides, 1.0).unwrap()
-}
 
 const POOL: &str = r#"# A pool with all that moves: a light ball that rises, a heavy one that spins onto a post, a plate that is carried.
 [domain]
@@ -250,9 +244,7 @@ fn the_f64_path_goes_on_to_the_bit() {
 
 #[test]
 fn the_gpu_path_goes_on_to_the_bit() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for (name, scene, steps) in cases() {
         goes_on(name, &scene, &Backend::Gpu(AdapterChoice::Best), steps);
     }
@@ -881,9 +873,7 @@ fn a_full_disk_loses_nothing() {
 /// Rounding differs between adapters: the run goes on, and both the user and the manifest are told.
 #[test]
 fn a_run_may_go_on_on_another_adapter() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let folder = dam();
     let run = Run {
         folder: folder.path(),

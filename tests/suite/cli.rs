@@ -167,11 +167,6 @@ fn wrong_arguments_are_bad_input() {
         ("bench solve --grids 8,1025", "2 to 1024 cells"),
         ("bench solve --tolerance nan", "above 0 and below 1"),
         ("bench solve --tolerance=-1", "above 0 and below 1"),
-        ("bench solids --nodes 7", "8 to 4194304 nodes"),
-        ("bench solids --step 0", "--step 0"),
-        ("bench solids --young nan", "above 0"),
-        ("bench solids --tolerance 1", "above 0 and below 1"),
-        ("bench solids --young -1", "--young -1: not a number"),
         ("bench solve --tolerance -1", "above 0 and below 1"),
         ("bench solve --against amg", "multigrid"),
         ("bench step dam.toml --scale most", "give numbers, or max"),
@@ -186,7 +181,6 @@ fn wrong_arguments_are_bad_input() {
     }
     for bench in [
         "accuracy dam.toml",
-        "solids",
         "solve",
         "device",
         "step dam.toml",
@@ -547,9 +541,7 @@ fn a_run_on_the_gpu_names_its_adapter() {
 /// A bench without `--backend` does not propose it.
 #[test]
 fn cures_are_options_of_the_command() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let folder = folder(DAM);
     // Face velocities take 0.3 GB, more than software drivers bind.
     let message = complains(&folder, "bench step dam.toml --scale 20", 3);
@@ -1053,9 +1045,7 @@ fn names_of_scenes_make_whole_files_or_are_refused() {
 /// A level with a source, a sink and an open side: planned and run on the device.
 #[test]
 fn a_level_that_exchanges_liquid_runs_on_the_gpu() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let flows = "[[source]]\nbox = { min = [0.6, 0.6, 0.1], max = [0.8, 0.8, 0.3] }\nvelocity = [0, -1, 0]\n\
                  [[sink]]\nbox = { min = [0.0, 0.3, 0.0], max = [0.2, 0.7, 0.5] }\n";
     let folder = folder(&format!("{DAM}{flows}"));

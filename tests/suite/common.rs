@@ -11,6 +11,8 @@ use std::sync::{Mutex, OnceLock};
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::grid::Grid;
 use cutwater::reference::Surface;
+use cutwater::scene::Scene;
+use cutwater::sim::{Backend, Simulation};
 use serde::de::{Deserialize, Deserializer, Error as _, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 
@@ -72,6 +74,24 @@ pub(crate) fn program() -> Command {
     let mut command = Command::new("env");
     command.args(["--default-signal=INT,TERM,HUP", program]);
     command
+}
+
+/// A scene of `scenes/`.
+pub(crate) fn project_scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    let file = root().join(format!("scenes/{name}.toml"));
+    Scene::load(&file, &overrides, scale).unwrap()
+}
+
+/// The scene of a text.
+pub(crate) fn scene_from(text: &str, overrides: &[&str]) -> Scene {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    Scene::parse("test.toml".as_ref(), text, &overrides, 1.0).unwrap()
+}
+
+/// A simulation on the one device of the tests.
+pub(crate) fn on_gpu(scene: &Scene) -> Simulation {
+    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
 }
 
 /// What active cells cover, seen from above, m^2: of a pool, its surface.

@@ -1,7 +1,5 @@
 //! `compare`: these scenes pass it, and a value that is off does not.
 
-use std::fs;
-
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::{Comparison, compare};
@@ -10,13 +8,7 @@ use cutwater::scene::Scene;
 use cutwater::sim::{Snapshot, SolidSnapshot};
 use cutwater::step::Stage;
 
-use crate::common::{gpu, root};
-
-fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
-    let path = root().join(format!("scenes/{name}.toml"));
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&path, &overrides, scale).unwrap()
-}
+use crate::common::{gpu, project_scene as scene, scene_from};
 
 /// What differs by more than its bound, one per line.
 fn breaches(comparison: &Comparison) -> String {
@@ -51,9 +43,7 @@ fn assert_passes(scene: &Scene, frames: u64) {
 /// One scene per effect, for every driver.
 #[test]
 fn small_scenes_pass() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let single = ["solver.precision=\"f32\""];
     // One component without a free surface.
     let full = ["liquid.region[0].half_space.point=[0.0, 0.99, 0.0]"];
@@ -84,9 +74,7 @@ fn small_scenes_pass() {
 /// Longer and larger.
 #[test]
 fn all_scenes_pass() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let thin = ["domain.size=[2.0, 1.25, 0.25]", "domain.cells=[16, 10, 2]"];
     let moving = ["liquid.region[0].velocity=[1.0, 0.5, -0.75]"];
     let markers = ["liquid.surface=\"markers\""];
@@ -184,9 +172,7 @@ fn spoil(stage: &str, s: &mut Snapshot) -> &'static [&'static str] {
 
 #[test]
 fn what_is_off_is_found_and_nothing_else() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     // One sub-step.
     let scene = scene(
         "sphere_half_full",
@@ -222,10 +208,7 @@ fn what_is_off_is_found_and_nothing_else() {
 
 /// What of a scene, given as text, differs by more than its bound; `held` hears of the solids after each search for what holds them.
 fn compared(text: &str, frames: u64, mut held: impl FnMut(&SolidSnapshot)) -> String {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    fs::write(&path, text).unwrap();
-    let scene = Scene::load(&path, &[], 1.0).unwrap();
+    let scene = scene_from(text, &[]);
     let mut listen = |stage: Stage, snapshot: &mut Snapshot| {
         if stage == Stage::Solve {
             held(snapshot.solids.as_ref().unwrap());
@@ -237,9 +220,7 @@ fn compared(text: &str, frames: u64, mut held: impl FnMut(&SolidSnapshot)) -> St
 /// A block on the floor that moves into the side of an obstacle, which looks away from the nearer wall or along it.
 #[test]
 fn an_obstacle_beside_a_wall_is_not_taken_for_it() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for speed in [1.0, -1.0] {
         let mut by_obstacle = 0;
         let found = compared(

@@ -13,7 +13,7 @@ use cutwater::scene::{Precision, Scene, Solver};
 use cutwater::sim::solids_of;
 use glam::DVec3;
 
-use crate::common::Random;
+use crate::common::{Random, scene_from};
 use crate::liquid_case::{Case, single};
 
 /// Two solids that touch, one near a wall, and an obstacle; cells that do not fill quads.
@@ -44,11 +44,7 @@ poisson = 0.3
 
 /// [`SCENE`].
 pub(crate) fn scene(overrides: &[&str]) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    std::fs::write(&path, SCENE).unwrap();
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&path, &overrides, 1.0).unwrap()
+    scene_from(SCENE, overrides)
 }
 
 /// A liquid, and the solids in it.

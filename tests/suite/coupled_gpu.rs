@@ -13,19 +13,7 @@ use cutwater::sim::{Backend, Plan, Simulation, reference_path};
 use cutwater::state::SolveStatus;
 use glam::DVec3;
 
-use crate::common::{digest, gpu, same_with_any_number_of_threads};
-
-fn on_gpu(scene: &Scene) -> Simulation {
-    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
-}
-
-fn scene(text: &str, overrides: &[&str]) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    std::fs::write(&path, text).unwrap();
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&path, &overrides, 1.0).unwrap()
-}
+use crate::common::{digest, gpu, on_gpu, same_with_any_number_of_threads, scene_from as scene};
 
 /// A tank of 12^3 cells; `level`: m, 1 for a full one.
 fn tank(level: f64, solids: &str) -> String {
@@ -191,9 +179,7 @@ fn forces(solids: &[&str]) -> String {
 /// none; with the correction and without.
 #[test]
 fn forces_on_each_solid_sum_up_to_those_on_all() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let light = ball("light", [0.31, 0.34, 0.52], 300.0);
     let heavy = ball("heavy", [0.7, 0.42, 0.47], 3000.0);
     let dry = ball("dry", [0.5, 0.8, 0.5], 1000.0);
@@ -252,9 +238,7 @@ fn off<'a>(
 /// Every sub-step from the state that the device is in.
 #[test]
 fn steps_are_the_twins() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for (name, scene) in cases() {
         let markers = scene.liquid.as_ref().unwrap().surface == Surface::Markers;
         let mut simulation = on_gpu(&scene);
@@ -347,9 +331,7 @@ fn steps_are_the_twins() {
 /// A box sinks to the floor and rests on it. No liquid is below it then, wherever rounding puts its nodes: what pushes it is above it.
 #[test]
 fn no_liquid_is_below_what_rests_on_the_floor() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let solid = "[[solid]]
 name = \"box\"
 mesh = { box = { size = [0.4, 0.3, 0.4], cells = [2, 2, 2] } }
@@ -410,9 +392,7 @@ fn both_take_what_is_planned() {
 /// The diagonal for a preconditioner, and its blocks, in contact: the same sub-steps, and what is planned.
 #[test]
 fn diagonals_serve_whole_steps() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     // Soft, so that iterations are some hundred.
     let soft = ball("heavy", [0.7, 0.42, 0.47], 3000.0).replace("young = 1e5", "young = 1e3");
     let text = tank(0.6, &format!("{soft}{POST}"));
@@ -478,9 +458,7 @@ fn without_a_factor_the_form_is_two_field() {
 /// would take more iterations than there are, and the scene may ask for either.
 #[test]
 fn many_wet_nodes_are_condensed_where_the_polynomial_ends_early() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let block = |young: &str| {
         format!(
             "[[solid]]
@@ -559,9 +537,7 @@ fn assert_planned(name: &str, scene: &Scene) {
 /// A cube that starts with an eighth of its volume and grows out of the room that was planned for it.
 #[test]
 fn room_grows_with_the_solids() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let cube = "[[solid]]
 name = \"cube\"
 mesh = { box = { size = [0.5, 0.5, 0.5], cells = [3, 3, 3] } }
@@ -593,9 +569,7 @@ damping = { stiffness = 0.01 }
 /// Bit for bit, in one process and with any number of threads; and a state in the middle goes on as if nothing had happened.
 #[test]
 fn runs_repeat() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (_, scene) = cases().swap_remove(1);
     let mut first = on_gpu(&scene);
     let mut again = on_gpu(&scene);
@@ -628,9 +602,7 @@ fn threads_do_not_matter() {
 /// `compare` passes on every case.
 #[test]
 fn every_stage_is_compared() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for (name, scene) in cases() {
         if scene.solver.coupling != CouplingScheme::Strong {
             let refused = compare(&scene, 1, &AdapterChoice::Best, &mut |_, _| {});
@@ -792,9 +764,7 @@ fn exported_systems_are_the_stored_ones() {
 /// Above the liquid there is no system of both.
 #[test]
 fn solids_out_of_the_liquid_store_no_system_of_both() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (_, scene) = cases()
         .into_iter()
         .find(|(name, _)| *name == "out of the liquid")

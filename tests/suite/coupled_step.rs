@@ -14,15 +14,14 @@ use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
 
+use crate::common::scene_from;
+
 /// Seconds.
 const DT: f64 = 1.0 / 120.0;
 const GRAVITY: f64 = 9.81;
 
 fn scene(text: &str) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    fs::write(&path, text).unwrap();
-    Scene::load(&path, &[], 1.0).unwrap()
+    scene_from(text, &[])
 }
 
 /// A turned block in a tank with a level that is kept, of 1000 kg/m^3 and hard.

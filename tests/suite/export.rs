@@ -11,15 +11,9 @@ use cutwater::sim::Backend;
 use serde_json::Value;
 
 use crate::cli::list;
-use crate::common::{gpu, json};
+use crate::common::{gpu, json, project_scene as scene};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of};
-
-fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&path, &overrides, scale).unwrap()
-}
 
 /// What the files hold.
 struct Files {
@@ -263,9 +257,7 @@ fn the_gpu_path_exports_what_it_stored() {
 
 #[test]
 fn both_paths_export_the_same_system() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = scene("sphere_half_full", 0.5, &[]);
     let cpu = Files::new(&scene, Backend::Cpu, 0);
     let gpu = Files::new(&scene, Backend::Gpu(AdapterChoice::Best), 0);

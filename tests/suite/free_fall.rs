@@ -1,14 +1,12 @@
 //! What touches nothing falls by g t^2 / 2, at any frame rate, on both backends.
 
-use std::fs;
-
 use cutwater::gpu::AdapterChoice;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{State, StepReport};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{gpu, scene_from};
 
 const TIME: f64 = 0.25;
 const GRAVITY: DVec3 = DVec3::new(0.5, -9.75, 0.25);
@@ -20,10 +18,7 @@ fn scene(frames_per_second: f64, rest: &str) -> Scene {
          [time]\nduration = {TIME}\nframes_per_second = {frames_per_second}\n{rest}",
         GRAVITY.to_array()
     );
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    fs::write(&path, text).unwrap();
-    Scene::load(&path, &[], 1.0).unwrap()
+    scene_from(&text, &[])
 }
 
 /// Volume control moves a drop's surface, not its centre.

@@ -5,7 +5,6 @@ mod bench;
 mod bench_accuracy;
 mod bench_device;
 mod bench_effects;
-mod bench_solids;
 mod bench_solve;
 mod bench_stability;
 mod bench_step;

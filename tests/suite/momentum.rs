@@ -424,9 +424,7 @@ fn what_the_liquid_gains_is_what_everything_else_loses() {
 /// which is then off by 2^-23 if they have nothing to do with each other. Nor have the terms: eight times that is never reached.
 #[test]
 fn on_the_device_it_is_that_too() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for case in cases() {
         let grid = case.scene.grid();
         let mut path = GpuPath::open(&case.scene, &AdapterChoice::Best).unwrap();

@@ -4,17 +4,16 @@ use std::path::Path;
 
 use cutwater::Error;
 use cutwater::geometry::{initial_state, obstacle_cut};
-use cutwater::gpu::AdapterChoice;
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
     Ballistic, Lost, PressureSystem, active_cells, advect_markers, divergence, right_hand_side,
     solve, volume_without, write_back,
 };
 use cutwater::scene::{Scene, Solver};
-use cutwater::sim::{Backend, Plan, Simulation, reference_path};
+use cutwater::sim::{Plan, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State};
 
-use crate::common::{far_below, gpu, surface};
+use crate::common::{far_below, gpu, on_gpu, surface};
 
 const GRAVITY: f64 = 9.81;
 
@@ -30,10 +29,6 @@ fn parse(cells: [usize; 3], open: &str, rest: &str) -> Result<Scene, Error> {
 
 fn scene(cells: [usize; 3], open: &str, rest: &str) -> Scene {
     parse(cells, open, rest).unwrap()
-}
-
-fn on_gpu(scene: &Scene) -> Simulation {
-    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
 }
 
 /// Sub-steps up to a frame; `each` hears of the state of the simulation after every one.
@@ -248,9 +243,7 @@ fn tank(volume_control: bool) -> Scene {
 /// edge badly. The first quarter of a second, in which the flow begins, is left out.
 #[test]
 fn a_tank_runs_dry_as_torricelli_says() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (area, slot) = (1.0 - 3.0 / 40.0, 3.0 / 40.0);
     let ended = [true, false].map(|control| {
         let scene = tank(control);
@@ -289,9 +282,7 @@ fn a_tank_runs_dry_as_torricelli_says() {
 /// Down to the last marker, and on without any.
 #[test]
 fn a_domain_without_a_floor_runs_empty() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = scene(
         [12, 16, 5],
         "[\"-y\"]",
@@ -322,9 +313,7 @@ fn a_domain_without_a_floor_runs_empty() {
 /// bumps of its surface bring some too.
 #[test]
 fn what_is_sucked_in_brings_no_energy() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let mass = 1000.0 * 0.5 * 0.35 * 0.5;
     let gains = ["[]", "[\"-x\"]"].map(|open| {
         let text = format!(
@@ -362,9 +351,7 @@ fn what_is_sucked_in_brings_no_energy() {
 
 #[test]
 fn runs_with_open_sides_repeat_and_go_on_from_a_state() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = tank(true);
     let mut simulation = on_gpu(&scene);
     let start = simulation.state().unwrap();

@@ -18,9 +18,7 @@ fn simulation(scene: &Scene) -> Simulation {
 /// F1, F2 in `mixed`: ten times the tolerance, or what f32 velocities of g dt leave of a difference of potentials.
 #[test]
 fn water_at_rest_stays_at_rest_on_the_gpu() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for (name, mut scene) in rest_cases() {
         scene.time.fixed_step = Some(1.0 / 48.0);
         let mut simulation = simulation(&scene);
@@ -42,9 +40,7 @@ fn water_at_rest_stays_at_rest_on_the_gpu() {
 /// of the kinetic energy of what falls freely.
 #[test]
 fn markers_at_rest_start_slowly_on_the_gpu() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for (name, fixed) in rest_cases() {
         let mut markers = fixed.clone();
         markers.liquid.as_mut().unwrap().surface = Surface::Markers;
@@ -79,9 +75,7 @@ fn markers_at_rest_start_slowly_on_the_gpu() {
 
 #[test]
 fn a_full_container_rests_on_the_gpu_and_is_closed() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let sphere =
         "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
     for rest in [pool(2.0), pool(2.0) + sphere] {
@@ -97,9 +91,7 @@ fn a_full_container_rests_on_the_gpu_and_is_closed() {
 
 #[test]
 fn liquid_flies_on_along_a_diagonal_on_the_gpu() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for scene in flights() {
         let mut simulation = simulation(&scene);
         let before = simulation.state().unwrap();
@@ -113,9 +105,7 @@ fn liquid_flies_on_along_a_diagonal_on_the_gpu() {
 
 #[test]
 fn dam_release_has_the_exact_pressure_on_the_gpu() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = dam_release_scene();
     let mut simulation = simulation(&scene);
     simulation.step().unwrap();
@@ -147,9 +137,7 @@ fn run(simulation: &mut Simulation, n_frames: u64) -> (State, [f64; 2]) {
 
 #[test]
 fn a_run_repeats_bit_for_bit_on_one_device() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (once, _) = run(&mut dam_break(), 12);
     let (again, _) = run(&mut dam_break(), 12);
     assert!(once == again, "two runs of the same scene differ");
@@ -158,9 +146,7 @@ fn a_run_repeats_bit_for_bit_on_one_device() {
 /// Prints all bits of a run, for [`a_run_does_not_depend_on_the_number_of_threads`].
 #[test]
 fn digest_of_a_run() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (state, _) = run(&mut dam_break(), 6);
     let markers = digest(state.markers.iter().flatten().copied());
     let velocity = digest(state.velocity.iter().flatten().copied());
@@ -170,18 +156,14 @@ fn digest_of_a_run() {
 
 #[test]
 fn a_run_does_not_depend_on_the_number_of_threads() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     same_with_any_number_of_threads("physics::digest_of_a_run", 1);
 }
 
 /// What an earlier run left in the device's fields counts for nothing, be it further on or somewhere else.
 #[test]
 fn a_state_put_in_place_goes_on_as_if_it_had_come_there() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let mut simulation = dam_break();
     let start = simulation.state().unwrap();
     let (fourth, _) = run(&mut simulation, 4);
@@ -216,9 +198,7 @@ fn a_state_put_in_place_goes_on_as_if_it_had_come_there() {
 /// Spray on a grid as coarse as this adds volume fast; at 64x32x32 cells and 10 s the ratio stays within 3 %.
 #[test]
 fn volume_control_holds_a_violent_dam_break() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (state, volume) = run(&mut dam_break(), 36);
     assert!(state.markers.len() > 1000, "the liquid is still there");
     assert!(volume[0] > 0.97 && volume[1] < 1.06, "{volume:?}");

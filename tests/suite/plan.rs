@@ -13,7 +13,7 @@ use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
 
 use crate::cli::{complains, cutwater, ends, folder, text};
-use crate::common::gpu;
+use crate::common::{gpu, project_scene as scene, scene_from};
 use crate::reference_physics::{pool, scene as written};
 
 const SCENES: [(&str, f64); 7] = [
@@ -25,12 +25,6 @@ const SCENES: [(&str, f64); 7] = [
     ("sphere_half_full", 0.5),
     ("standing_wave", 0.5),
 ];
-
-fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&file, &overrides, scale).unwrap()
-}
 
 /// Bytes by label.
 fn by_label<'a>(list: impl IntoIterator<Item = (&'a str, u64)>) -> BTreeMap<String, u64> {
@@ -74,9 +68,7 @@ fn assert_buffers(what: &str, plan: &Plan, simulation: &Simulation) {
 
 #[test]
 fn estimate_is_what_is_allocated() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for (name, scale) in SCENES {
         let (simulation, plan) = made(&scene(name, scale, &[]));
         assert_buffers(name, &plan, &simulation);
@@ -92,9 +84,7 @@ fn estimate_is_what_is_allocated() {
 
 #[test]
 fn kernels_and_stages_are_those_planned() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let fixed = "liquid.surface=fixed";
     let cases: [(&str, f64, &[&str]); 8] = [
         ("fountain", 0.25, &[]),
@@ -181,11 +171,7 @@ fn solids_with(absent: &[&str], overrides: &[&str]) -> Scene {
         "probes",
         "[[probe]]\nname = \"tip\"\nnode = { solid = \"left\", rest_point = [0.3, 0.5, 0.5] }\n",
     );
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("solids.toml");
-    fs::write(&file, text).unwrap();
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&file, &overrides, 1.0).unwrap()
+    scene_from(&text, overrides)
 }
 
 /// Effects of solids that a scene may lack.
@@ -201,9 +187,7 @@ const OF_SOLIDS: [&str; 7] = [
 
 #[test]
 fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let liquid = made(&scene("dam_break_liquid", 0.25, &[])).0;
     let kernels_of = |simulation: &Simulation| simulation.gpu().unwrap().compiled();
     let labels_of = |simulation: &Simulation| -> BTreeSet<String> {
@@ -306,9 +290,7 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
 /// An absent effect brings neither buffer nor kernel.
 #[test]
 fn absent_effects_of_solids_take_nothing() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let bytes = |simulation: &Simulation, label: &str| -> u64 {
         let all = allocated(simulation);
         all.iter()
@@ -408,9 +390,7 @@ fn liquid_alone_takes_what_it_always_took() {
 
 #[test]
 fn absent_effects_take_nothing() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     // Which buffers and kernels each of two effects brings: those that disappear without it.
     let with = |obstacles: bool, markers: bool| {
         let surface = if markers { "markers" } else { "fixed" };
@@ -490,9 +470,7 @@ fn absent_effects_take_nothing() {
 /// of its own, and is gone without it; nothing else comes or goes with it. An open side has no kernel of its own.
 #[test]
 fn ways_in_and_out_and_motion_take_nothing_where_they_are_absent() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let text = |more: &str, keyframes: &str| {
         format!(
             "surface = \"markers\"\n\
@@ -556,9 +534,7 @@ fn ways_in_and_out_and_motion_take_nothing_where_they_are_absent() {
 
 #[test]
 fn a_step_allocates_nothing() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for name in ["drop_into_pool", "sphere_half_full"] {
         for overrides in [&[][..], &["solver.precision=f32", "solver.tolerance=1e-4"]] {
             let (mut simulation, _) = made(&scene(name, 0.5, overrides));

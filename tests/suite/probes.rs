@@ -5,7 +5,7 @@ use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{gpu, scene_from};
 
 const GRAVITY: DVec3 = DVec3::new(0.0, -9.81, 0.5);
 
@@ -66,10 +66,7 @@ name = \"corner\"
 node_velocity = {{ solid = \"beam\", rest_point = [0.5, 0.5, 0.3] }}
 "
     );
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("beam.toml");
-    std::fs::write(&path, text).unwrap();
-    Scene::load(&path, &[], 1.0).unwrap()
+    scene_from(&text, &[])
 }
 
 /// The forces of pins and scripts close the balance of momentum of a beam in each sub-step, on both paths, in air and in liquid, and those of

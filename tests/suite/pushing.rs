@@ -139,9 +139,7 @@ fn a_turning_bar_sweeps_a_block() {
 /// The same sub-steps on the device, stage by stage.
 #[test]
 fn pushed_solids_are_the_twins() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let comparison = compare(&lift(1e6), 10, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
     let breached: Vec<_> = comparison
         .rows

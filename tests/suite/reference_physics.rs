@@ -12,6 +12,8 @@ use cutwater::scene::{ProbeKind, Scene, Shape};
 use cutwater::state::{LiquidReport, SolveStatus, State, StepReport};
 use glam::DVec3;
 
+use crate::common::scene_from;
+
 /// A scene of unit-sized cubes of `cells` along x, 1 m wide, with what else its file says.
 pub(crate) fn scene(cells: [usize; 3], rest: &str) -> Scene {
     let size = cells.map(|n| n as f64 / cells[0] as f64);
@@ -19,10 +21,7 @@ pub(crate) fn scene(cells: [usize; 3], rest: &str) -> Scene {
         "[domain]\nsize = {size:?}\ncells = {cells:?}\ngravity = [0.0, -9.81, 0.0]\n\
          [time]\nduration = 1.0\nframes_per_second = 24\n[liquid]\n{rest}"
     );
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    fs::write(&path, text).unwrap();
-    Scene::load(&path, &[], 1.0).unwrap()
+    scene_from(&text, &[])
 }
 
 fn start(scene: &Scene) -> Reference {

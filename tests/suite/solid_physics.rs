@@ -568,9 +568,7 @@ fn a_search_goes_on_from_solves_that_end_at_their_rounding() {
     let status = falls.last().unwrap().solve.status;
     assert_eq!(status, SolveStatus::Stagnated, "{reports:?}");
 
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let backend = Backend::Gpu(AdapterChoice::Best);
     assert_settled(&backend, &run(&scene, &backend));
     scene.solver.max_iterations = 1;

@@ -325,9 +325,7 @@ fn a_flow_rate_is_what_comes_out() {
 /// thick makes a sixth more markers than its flux has, one of a single cell a fifth less.
 #[test]
 fn a_source_fills_a_tank_at_the_rate_it_says() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let mut scene = parse(&format!("[liquid]\n{TAP}")).unwrap();
     scene.time.duration = 2.0;
     let mut simulation = on_gpu(&scene);
@@ -364,9 +362,7 @@ fn a_source_fills_a_tank_at_the_rate_it_says() {
 /// A source that starts late runs as long as it says; before and after, nothing is different from a scene without it.
 #[test]
 fn sources_keep_their_times() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = parse(&format!("[liquid]\n{POOL}{TAP}start = 0.25\nend = 0.5\n")).unwrap();
     let mut simulation = on_gpu(&scene);
     let start = simulation.state().unwrap();
@@ -516,9 +512,7 @@ fn what_a_gate_covers_gets_no_markers() {
 /// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.
 #[test]
 fn a_fountain_comes_to_a_steady_volume() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let sink = "[[sink]]\nbox = { min = [0.4375, 0.125, 0.0], max = [0.5, 0.1875, 0.25] }\n";
     let scene = parse(&format!("[liquid]\n{POOL}{TAP}{sink}")).unwrap();
     for backend in [Backend::Gpu(AdapterChoice::Best), Backend::Cpu] {
@@ -565,9 +559,7 @@ fn a_fountain_comes_to_a_steady_volume() {
 
 #[test]
 fn runs_with_sources_and_sinks_repeat_and_go_on_from_a_state() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let sink = "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n";
     let scene = parse(&format!("[liquid]\n{POOL}{TAP}start = 0.05\n{sink}")).unwrap();
     let mut simulation = on_gpu(&scene);

@@ -7,6 +7,8 @@ use cutwater::reference::StepLimits;
 use cutwater::scene::{Keyframe, Scene};
 use glam::DVec3;
 
+use crate::common::scene_from;
+
 const POOL: &str = "[liquid]\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.5, 1] }\n";
 
 /// A unit cube of 10^3 cells, gravity 10 m/s^2, one second in ten frames.
@@ -15,11 +17,7 @@ fn scene(rest: &str, overrides: &[&str]) -> Scene {
         "[domain]\nsize = [1, 1, 1]\ncells = [10, 10, 10]\ngravity = [0, -10, 0]\n\
          [time]\nduration = 1.0\nframes_per_second = 10\ncfl = 2\n{rest}"
     );
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("test.toml");
-    fs::write(&path, text).unwrap();
-    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
-    Scene::load(&path, &overrides, 1.0).unwrap()
+    scene_from(&text, overrides)
 }
 
 fn limits(rest: &str, overrides: &[&str]) -> StepLimits {

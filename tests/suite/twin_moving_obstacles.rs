@@ -1,8 +1,6 @@
 //! `clip`, `right_hand_side` and `extrapolate` beside obstacles that move: what the host clipped arrives on the device as it is, and whole
 //! steps are those of the f64 path.
 
-use std::fs;
-
 use cutwater::effects::Effects;
 use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
 use cutwater::geometry::{MovingWall, SolidClip, obstacle_cut};
@@ -13,7 +11,7 @@ use cutwater::sim::{Backend, Simulation, solids_of};
 use cutwater::stages;
 use cutwater::state::SolveStatus;
 
-use crate::common::gpu;
+use crate::common::{gpu, scene_from};
 use crate::moving_obstacles::squeezed_vessel;
 
 /// A paddle that turns, a tank that drifts and a post that stands, in water; and more.
@@ -27,10 +25,7 @@ fn scene(more: &str) -> Scene {
          [[obstacle]]\nbox = {{ min = [0.06, -1, 0.09], max = [0.93, 3, 0.94] }}\ninside_out = true\n\
          keyframes = [{{ t = 0 }}, {{ t = 0.5, translate = [0.04, 0, 0.03] }}]\n{more}"
     );
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("moving.toml");
-    fs::write(&path, text).unwrap();
-    Scene::load(&path, &[], 1.0).unwrap()
+    scene_from(&text, &[])
 }
 
 const BLOCK: &str = "[[solid]]\nname = \"block\"\nmesh = { box = { size = [0.2, 0.2, 0.2], cells = [2, 2, 2] } }\n\
@@ -124,9 +119,7 @@ fn fields_are_those_of_the_clipping() {
 
 #[test]
 fn steps_are_those_of_the_twins() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let weak = format!("{BLOCK}[solver]\npressure_on_patches = \"gradient\"\n");
     for (name, more) in [("liquid", ""), ("both", BLOCK), ("gradient", &weak)] {
         let scene = scene(more);
@@ -152,9 +145,7 @@ fn steps_are_those_of_the_twins() {
 
 #[test]
 fn a_vessel_that_shrinks_is_told() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = squeezed_vessel();
     let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
     let liquid = simulation.step().unwrap().liquid.unwrap();

@@ -35,9 +35,7 @@ fn wave(kind: &str) -> (Simulation, State) {
 
 #[test]
 fn pressures_and_openings_of_the_device_are_complementary() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let (mut simulation, mut before) = wave("walls");
     let scene = scene(&ceiling("walls"));
     let mut separated = 0;
@@ -65,9 +63,7 @@ fn pressures_and_openings_of_the_device_are_complementary() {
 /// on the data continuously.
 #[test]
 fn a_sub_step_is_that_of_the_twin() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for kind in ["walls", "from_air"] {
         let (mut simulation, state) = wave(kind);
         let mut reference = reference_path(&scene(&ceiling(kind))).unwrap();
@@ -263,9 +259,7 @@ fn assert_clean(scene: &Scene, frames: u64, case: &str) {
 
 #[test]
 fn every_stage_is_that_of_its_twin() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     for text in bodies() {
         assert_clean(&scene(&text), 2, "");
     }

@@ -62,9 +62,7 @@ fn is_heard(scene: &str) -> bool {
 
 #[test]
 fn it_is_silent_over_a_run() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(_) = gpu() else { return };
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/dam_break.toml");
     let scene = format!("{} --scale 0.25 --set output.fields=true", scene.display());
     if is_heard(&scene) {

@@ -8,9 +8,9 @@ use std::path::PathBuf;
 use crate::Error;
 use crate::gpu::Gpu;
 use crate::measure::bench::{
-    self, Event, Listener, Results, Settings, accuracy, device, effects, solids, stability, thesis,
+    Event, Listener, Results, Settings, accuracy, device, effects, stability, thesis,
 };
-use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
+use crate::scene::{Formulation, Precision, Preconditioner, Scene};
 use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, Subcommand};
 
@@ -28,8 +28,6 @@ enum Name {
     /// The solve against the grid, on the base block and, with a beam, on the base scene: solve.csv, solve_growth.csv, solve_against.csv,
     /// solve.json, solve.svg
     Solve(solve::Solve),
-    /// The solve of elastic solids against their size, beside sparse Cholesky: solids.csv, solids.json, solids.svg
-    Solids(Solids),
     /// Error against time by precision, preconditioner, form and tolerance, on states of scenes and on known problems: accuracy.csv,
     /// accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv, accuracy.json, accuracy.svg,
     /// accuracy_grids.svg
@@ -72,11 +70,12 @@ struct Repeats {
 
 impl Output {
     /// Runs a bench and prints its rows, derived tables and failures.
-    fn run(
+    fn run<O>(
         &self,
         name: &str,
         repeats: Option<&Repeats>,
-        measure: impl FnOnce(&Settings, Listener) -> Result<Results, Error>,
+        options: &O,
+        measure: impl FnOnce(&O, &Settings, Listener) -> Result<Results, Error>,
     ) -> Result<(), Error> {
         let out = self
             .out
@@ -89,7 +88,7 @@ impl Output {
             resume: self.resume,
         };
         let mut last = "";
-        let results = measure(&settings, &mut |event| match event {
+        let results = measure(options, &settings, &mut |event| match event {
             Event::Row(table, row) => {
                 if std::mem::replace(&mut last, table.name) != table.name {
                     say!("{}", table.heading());
@@ -128,7 +127,6 @@ impl Bench {
                 "fewer cells (--scale, --grids) or coarser meshes of the solids",
             ),
             Name::Effects(effects) => (effects.run(), SMALLER_SCENE),
-            Name::Solids(solids) => (solids.run(), "fewer nodes (--nodes)"),
             Name::Step(step) => (step.run(), SMALLER_SCENE),
             // The one that has --backend.
             Name::Stability(stability) => return stability.run(),
@@ -215,10 +213,8 @@ struct Device {
 impl Device {
     fn run(&self) -> Result<(), Error> {
         let gpu = Gpu::new(&self.adapter.choice())?;
-        self.output
-            .run("device", Some(&self.repeats), |settings, listener| {
-                device::measure(&gpu, settings, listener)
-            })
+        let repeats = Some(&self.repeats);
+        self.output.run("device", repeats, &gpu, device::measure)
     }
 }
 
@@ -248,10 +244,7 @@ impl Effects {
             frames: self.frames,
             adapter: self.adapter.choice(),
         };
-        let measure = |settings: &Settings, listener: Listener| {
-            effects::measure(&options, settings, listener)
-        };
-        self.output.run("effects", None, measure)
+        self.output.run("effects", None, &options, effects::measure)
     }
 }
 
@@ -280,105 +273,8 @@ impl Stability {
             scale: self.scale,
             backend: self.backend.backend(),
         };
-        let measure = |settings: &Settings, listener: Listener| {
-            stability::measure(&options, settings, listener)
-        };
-        self.output.run("stability", None, measure)
-    }
-}
-
-#[derive(Debug, Args)]
-struct Solids {
-    /// Nodes of the bodies, about
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "N,N,..",
-        default_value = "1000,10000,100000"
-    )]
-    nodes: Vec<usize>,
-    /// Bodies to measure
-    #[arg(long, value_parser = named(BODIES), value_delimiter = ',', value_name = "B,..", default_value = "beam")]
-    body: Vec<solids::Body>,
-    /// Young's modulus, Pa
-    #[arg(long, default_value_t = 2e5)]
-    young: f64,
-    /// Density, kg/m^3
-    #[arg(long, default_value_t = 1000.0)]
-    density: f64,
-    /// Length of the sub-steps, s
-    #[arg(long, default_value_t = 1.0 / 120.0)]
-    step: f64,
-    /// Relative tolerance of the true residual
-    #[arg(long, default_value_t = 1e-8)]
-    tolerance: f64,
-    /// PCG iterations in all refinement steps
-    #[arg(long, default_value_t = 5000)]
-    max_iterations: u32,
-    /// Precision to measure
-    #[arg(long, value_parser = named(PRECISIONS), default_value = "mixed")]
-    precision: Precision,
-    /// Factors of more GiB are not computed
-    #[arg(long, value_name = "GIB", default_value_t = 4.0)]
-    largest_factor: f64,
-    #[command(flatten)]
-    repeats: Repeats,
-    #[command(flatten)]
-    output: Output,
-    #[command(flatten)]
-    adapter: AdapterArgs,
-}
-
-const BODIES: &[(&str, solids::Body)] =
-    &[("beam", solids::Body::Beam), ("block", solids::Body::Block)];
-
-/// Nodes of the bodies: a solid of more does not fit into the memory of most hosts.
-const NODES: std::ops::RangeInclusive<usize> = 8..=1 << 22;
-
-impl Solids {
-    fn run(&self) -> Result<(), Error> {
-        if let Some(&nodes) = self.nodes.iter().find(|n| !NODES.contains(n)) {
-            let problem = "too few or too many nodes for a body";
-            return Err(Error::input(
-                format!("--nodes {nodes}"),
-                problem,
-                "give 8 to 4194304 nodes",
-            ));
-        }
-        for (key, number, example) in [
-            ("young", self.young, "1e6"),
-            ("density", self.density, "1000"),
-            ("step", self.step, "0.01"),
-            ("largest-factor", self.largest_factor, "4"),
-        ] {
-            if !(number > 0.0 && number.is_finite()) {
-                let cure = format!("give one, such as {example}");
-                return Err(Error::input(
-                    format!("--{key} {number}"),
-                    "not a number above 0",
-                    cure,
-                ));
-            }
-        }
-        check_tolerance(self.tolerance)?;
-        let options = solids::Options {
-            bodies: self.body.clone(),
-            nodes: self.nodes.clone(),
-            young: self.young,
-            density: self.density,
-            step: self.step,
-            largest_factor: self.largest_factor * bench::solve::GIB,
-            solver: Solver {
-                tolerance: self.tolerance,
-                max_iterations: self.max_iterations,
-                precision: self.precision,
-                ..Solver::default()
-            },
-            adapter: self.adapter.choice(),
-        };
-        let measure =
-            |settings: &Settings, listener: Listener| solids::measure(&options, settings, listener);
-        self.output.run("solids", Some(&self.repeats), measure)
+        let measure = stability::measure;
+        self.output.run("stability", None, &options, measure)
     }
 }
 
@@ -445,10 +341,8 @@ impl Accuracy {
             max_iterations: self.max_iterations,
             adapter: self.adapter.choice(),
         };
-        let measure = |settings: &Settings, listener: Listener| {
-            accuracy::measure(&options, settings, listener)
-        };
-        self.output.run("accuracy", Some(&self.repeats), measure)
+        let (repeats, measure) = (Some(&self.repeats), accuracy::measure);
+        self.output.run("accuracy", repeats, &options, measure)
     }
 }
 
@@ -501,8 +395,7 @@ impl Thesis {
             precisions: self.precision.clone(),
             adapter: self.adapter.choice(),
         };
-        let measure =
-            |settings: &Settings, listener: Listener| thesis::measure(&options, settings, listener);
-        self.output.run("thesis", Some(&self.repeats), measure)
+        let (repeats, measure) = (Some(&self.repeats), thesis::measure);
+        self.output.run("thesis", repeats, &options, measure)
     }
 }

@@ -141,9 +141,10 @@ impl Solve {
             largest_factor: self.largest_factor * GIB,
             solvers,
         };
-        let measure = |settings: &Settings, listener: Listener| {
-            solve::measure(&gpu, &options, settings, listener)
+        let measure = |options: &solve::Options, settings: &Settings, listener: Listener| {
+            solve::measure(&gpu, options, settings, listener)
         };
-        self.output.run("solve", Some(&self.repeats), measure)
+        let repeats = Some(&self.repeats);
+        self.output.run("solve", repeats, &options, measure)
     }
 }

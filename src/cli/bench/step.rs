@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use crate::Error;
 use crate::gpu::Gpu;
 use crate::measure::bench::step::{self, Case};
-use crate::measure::bench::{Listener, Settings};
 use crate::scene::Scene;
 use clap::Args;
 
@@ -76,8 +75,7 @@ impl Step {
             frames: self.frames,
             adapter: self.adapter.choice(),
         };
-        let measure =
-            |settings: &Settings, listener: Listener| step::measure(&options, settings, listener);
-        self.output.run("step", Some(&self.repeats), measure)
+        let (repeats, measure) = (Some(&self.repeats), step::measure);
+        self.output.run("step", repeats, &options, measure)
     }
 }

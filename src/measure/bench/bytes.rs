@@ -1,4 +1,4 @@
-//! Least memory traffic of solves and of the stages of solids: reads and writes of each array that a kernel needs, once. Data that neighbouring threads
+//! Least memory traffic of solves: reads and writes of each array that a kernel needs, once. Data that neighbouring threads
 //! share, or that the padding of rows repeats, is cached.
 
 use crate::elastic::{Incidence, Solids};
@@ -9,13 +9,11 @@ const WORD: f64 = 4.0;
 /// Bytes of four f32.
 const VEC4: f64 = 16.0;
 
-/// Sizes that decide the bytes of the solids' stages.
+/// Sizes that decide the bytes of the solids' part of a solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SolidBytes {
-    pub(super) nodes: f64,
-    pub(super) elements: f64,
-    /// Nodes of rotating bodies.
-    turning: f64,
+    nodes: f64,
+    elements: f64,
     /// 3x3 blocks of the stiffness off its diagonal.
     blocks: f64,
     /// Bytes of a scalar of velocities and residuals.
@@ -31,10 +29,6 @@ impl SolidBytes {
         SolidBytes {
             nodes: solids.rest.len() as f64,
             elements: solids.elements.len() as f64,
-            turning: solids
-                .rotating_bodies()
-                .map(|body| body.nodes.len() as f64)
-                .sum(),
             blocks: topology.n_blocks() as f64,
             real: real as f64,
             inner: inner as f64,
@@ -54,62 +48,6 @@ impl SolidBytes {
     /// Corners of the nodes and their offsets.
     fn incidence(&self) -> f64 {
         WORD * (self.nodes + 4.0 * self.elements)
-    }
-
-    /// A stage other than `solve`; 0 for stages of the liquid alone.
-    pub(super) fn stage(&self, stage: &str, scripts: bool, obstacles: bool) -> f64 {
-        let (n, m) = (self.nodes, self.elements);
-        let [scripts, obstacles] = [scripts, obstacles].map(|there| f64::from(u8::from(there)));
-        match stage {
-            // Rest position, flags, displacement in two parts read and written, velocity. Rotating nodes: rest position, and displacement and
-            // velocity read and written.
-            "move_solid" => {
-                let still = n * (VEC4 + WORD + 2.0 * VEC4) + self.vectors(1.0);
-                let turning = self.turning * (5.0 * VEC4 + 8.0 * self.real);
-                still + n * 2.0 * VEC4 + turning
-            }
-            // Flags, velocity read and written.
-            "forces" => n * (WORD + scripts * VEC4) + self.vectors(2.0),
-            // Nodes, displacement in two parts, damping; gradients in, rotated and forces out.
-            "solid_matrices" => {
-                let rotations =
-                    m * (VEC4 + 2.0 * WORD) + n * 2.0 * VEC4 + self.element_vectors(3.0);
-                rotations + self.stiffness_rows()
-            }
-            // Flags, masses, velocity, load; forces of the elements; sum out. Then constraints and diagonals.
-            "right_hand_side" => {
-                let sum = n * (WORD + VEC4) + self.vectors(3.0) + self.incidence();
-                sum + self.element_vectors(1.0) + self.contacts(obstacles) + self.diagonals()
-            }
-            // Rest position and displacement in two parts, velocity; determinants and energies: a vector each.
-            "diagnose" => n * 3.0 * VEC4 + self.vectors(1.0) + m * 2.0 * 4.0 * self.real,
-            _ => 0.0,
-        }
-    }
-
-    /// The rows of the preconditioner, from the rotated elements.
-    pub(super) fn stiffness_rows(&self) -> f64 {
-        let m = self.elements;
-        // Twelve contributions per element, offset and column of each block; the block out.
-        let joints = WORD * (12.0 * m + 2.0 * self.blocks);
-        self.element_vectors(1.0) + joints + 12.0 * self.inner * self.blocks
-    }
-
-    /// Diagonal blocks and constraints.
-    fn diagonals(&self) -> f64 {
-        // Constraint projector, mass, load; mass term, mean of the diagonal and inverse out.
-        let nodes = self.nodes * (2.0 * VEC4 + 2.0 * self.real + 12.0 * self.inner);
-        self.element_vectors(1.0) + self.incidence() + nodes + self.vectors(1.0)
-    }
-
-    /// Initial contacts with walls and obstacles, and the velocities of these nodes.
-    fn contacts(&self, obstacles: f64) -> f64 {
-        // Rest position, flags, displacement in two parts, force; gaps and constraint projector out.
-        let walls = self.nodes * (5.0 * VEC4 + WORD) + self.vectors(1.0);
-        // The same, with the distance instead of the flags.
-        let touch = walls * (1.0 + obstacles);
-        // Gaps, constraint projector; few velocities.
-        touch + self.nodes * 2.0 * VEC4
     }
 
     /// One step of the polynomial preconditioner.
@@ -136,24 +74,8 @@ impl SolidBytes {
         products + gather + self.vectors(1.0 + others)
     }
 
-    /// A solve without the rows of its preconditioner.
-    pub(super) fn solve(&self, degree: f64, iterations: f64, refinements: f64) -> f64 {
-        // Its shares of r . z are summed.
-        let polynomial = self.polynomial(degree) + self.vectors(1.0);
-        // z; direction read and written.
-        let direction = self.vectors(3.0);
-        // Residual; product and partials, which are summed.
-        let operator = self.product(4.0);
-        // Direction, correction and residual read and written, product.
-        let update = self.vectors(6.0);
-        let iteration = polynomial + direction + operator + update;
-        // Classification of contacts: right-hand side, velocity, gaps, the mean of the diagonal.
-        let update = self.product(1.0) + self.nodes * (VEC4 + self.real);
-        self.outer_loop(refinements) + iterations * iteration + update
-    }
-
     /// The outer loop of a solve: start, and residual evaluations between refinement steps.
-    pub(super) fn outer_loop(&self, refinements: f64) -> f64 {
+    fn outer_loop(&self, refinements: f64) -> f64 {
         // Correction, unknowns read and written; right-hand side, residual and partials, which are summed; then residual in and
         // out, direction and correction out; the mean of the diagonal.
         let turn = self.vectors(7.0) + self.product(4.0) + self.nodes * self.real;
@@ -163,7 +85,7 @@ impl SolidBytes {
     }
 
     /// Solids' part of an iteration of a two-field solve (symbols as in `solver/two_field.rs`).
-    pub(super) fn two_field(&self, preconditioner: Preconditioner, degree: f64) -> f64 {
+    fn two_field(&self, preconditioner: Preconditioner, degree: f64) -> f64 {
         let polynomial = self.polynomial(degree);
         let preconditioner = match preconditioner {
             // Two: y from t; then residual, t, z read and written, partials, which are summed.
@@ -175,7 +97,7 @@ impl SolidBytes {
         let preconditioner = preconditioner + self.nodes * (VEC4 + self.real);
         // J^T p; t in its place, v - t, partials, which are summed; then the product with v - t.
         let operator = self.vectors(1.0) + self.product(5.0) + self.product(1.0);
-        // As in `solve`.
+        // Direction read and written, z; direction, correction and residual read and written, product.
         let (direction, update) = (self.vectors(3.0), self.vectors(6.0));
         preconditioner + operator + direction + update
     }

@@ -78,8 +78,20 @@ fn repeat(repeats: usize, mut run: impl FnMut() -> Result<f64, Error>) -> Result
     Ok(Spread::of(values.collect::<Result<_, _>>()?))
 }
 
+/// A kernel that copies 16 bytes a thread, between buffers of `n` f32, and its target.
+pub(super) fn copying(gpu: &Gpu, n: usize) -> Result<(Bound, Buffer<f32>), Error> {
+    let source: Buffer<f32> = gpu.buffer("bench.source", n)?;
+    let target: Buffer<f32> = gpu.buffer("bench.target", n)?;
+    let kernel = Kernel::new(gpu, &crate::wgsl!("copy"), Real::F32)?;
+    let buffers = [
+        ("source", (&source).into()),
+        ("target_out", (&target).into()),
+    ];
+    Ok((kernel.bind(gpu, &buffers, &[])?, target))
+}
+
 /// Seconds of `n` dispatches in one submission, to the end of their work.
-fn dispatches(
+pub(super) fn dispatches(
     gpu: &Gpu,
     n: usize,
     mut record: impl FnMut(&mut crate::gpu::Pass),
@@ -119,16 +131,10 @@ struct Tiny<'a> {
 
 impl<'a> Tiny<'a> {
     fn new(gpu: &'a Gpu) -> Result<Tiny<'a>, Error> {
-        let source: Buffer<f32> = gpu.buffer("bench.source", 256)?;
-        let target: Buffer<f32> = gpu.buffer("bench.target", 256)?;
-        let kernel = Kernel::new(gpu, &crate::wgsl!("copy"), Real::F32)?;
-        let buffers = [
-            ("source", (&source).into()),
-            ("target_out", (&target).into()),
-        ];
+        let (copy, target) = copying(gpu, 256)?;
         Ok(Tiny {
             gpu,
-            copy: kernel.bind(gpu, &buffers, &[])?,
+            copy,
             args: gpu.buffer_with("bench.args", &[1, 1, 1, 64])?,
             target,
         })

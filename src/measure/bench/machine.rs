@@ -1,13 +1,14 @@
 //! Machine and time of a bench, and the bandwidth of a copy.
 
 use std::fs;
-use std::time::{Instant, SystemTime};
+use std::time::SystemTime;
 
 use serde::Serialize;
 
+use super::device::{copying, dispatches};
 use super::statistics::Spread;
 use crate::Error;
-use crate::gpu::{Buffer, Gpu, Kernel, Real, Recorder};
+use crate::gpu::Gpu;
 
 /// Digest of the sources, shaders and scenes of this build, 12 hexadecimal digits.
 pub const SOURCES: &str = env!("CUTWATER_SOURCES");
@@ -102,24 +103,8 @@ fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
         "software" => BYTES[0],
         _ => BYTES[1].min(report.storage_binding.min(report.buffer) as usize),
     };
-    let source: Buffer<f32> = gpu.buffer("bench.source", bytes / 4)?;
-    let target: Buffer<f32> = gpu.buffer("bench.target", bytes / 4)?;
-    let kernel = Kernel::new(gpu, &crate::wgsl!("copy"), Real::F32)?;
-    let buffers = [
-        ("source", (&source).into()),
-        ("target_out", (&target).into()),
-    ];
-    let copy = kernel.bind(gpu, &buffers, &[])?;
-    let run = |copies: usize| {
-        let clock = Instant::now();
-        let mut recorder = Recorder::new(gpu);
-        recorder.stage("copy", |pass| {
-            (0..copies).for_each(|_| pass.dispatch(&copy, bytes / 16));
-        });
-        recorder.submit();
-        gpu.wait("copy")?;
-        Ok::<f64, Error>(clock.elapsed().as_secs_f64())
-    };
+    let copy = copying(gpu, bytes / 4)?.0;
+    let run = |copies: usize| dispatches(gpu, copies, |pass| pass.dispatch(&copy, bytes / 16));
     let mut copies = 8;
     run(copies)?;
     while run(copies)? < LONG_ENOUGH && copies < 1 << 12 {

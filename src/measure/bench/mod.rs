@@ -12,7 +12,6 @@ pub mod effects;
 pub mod ended;
 mod machine;
 pub mod outputs;
-pub mod solids;
 pub mod solve;
 pub mod stability;
 pub mod statistics;

@@ -1,4 +1,4 @@
-//! `bench step`: seconds of sub-steps and stages, and the time of a copy of the bytes that each stage must move.
+//! `bench step`: seconds of sub-steps and of their stages.
 //!
 //! The host times a sub-step from the upload of its numbers to its diagnostics; stages have device timestamps. Scenes run from their start, in rounds.
 //! The first sub-step of each kind compiles and is not counted. Every run of a scene has the same sub-steps.
@@ -7,7 +7,6 @@ mod sizes;
 
 use std::time::Instant;
 
-use super::bytes::{Corrections, SolidBytes, SolveBytes};
 use super::chart::{Bars, Page};
 use super::statistics::{Spread, grouped};
 use super::sub_step::stage_seconds;
@@ -16,11 +15,7 @@ use super::{
     Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, growth, replace, rows,
 };
 use crate::Error;
-use crate::effects::Effects;
-use crate::elastic::{Bounds, Solids};
-use crate::fields::extrapolation_layers;
 use crate::gpu::{AdapterChoice, Gpu, Trace, Traffic};
-use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::{LiquidReport, SolidReport, StepReport};
 use crate::step::Stage;
@@ -63,16 +58,12 @@ columns! {
         seconds ~ "s" "mean over the sub-steps of a run; spread over the runs";
         sub_step_seconds ~ "s" "median over the runs; spread over the sub-steps";
         cells_per_second - "1/s" "unknowns of the pressure over `seconds_median`";
-        bytes - "B" "least memory traffic of a sub-step";
-        share_of_copy_bandwidth - "" "`bytes` per second over the copy bandwidth";
     }
     /// A stage in these sub-steps.
     STAGE {
         stage - "" "name of the stage";
         where - "" "where its seconds are spent: `device`, `host`, `host and device`";
         seconds ~ "s" "as in step.csv";
-        bytes - "B" "least memory traffic; 0 for `clip` and `exchange`, which have no model";
-        share_of_copy_bandwidth - "" "empty where bytes or seconds are 0";
         dispatches - "" "mean";
         waits - "" "waits after a submission that ends with this stage, mean";
     }
@@ -127,8 +118,7 @@ pub fn measure(
                 continue;
             }
             record.run(options)?;
-            let rows = record.rows(&run.results.machine);
-            run.put(rows)?;
+            run.put(record.rows())?;
             run.progress("runs", round * n + number + 1, repeats * n, clock);
         }
     }
@@ -145,11 +135,8 @@ struct Record<'a> {
 
 /// Numbers of a scene on a device.
 struct Device {
-    solids: Solids,
-    /// Bytes of the solids' stages, and the bounds of their preconditioner; `None` without solids.
-    solid_bytes: Option<(SolidBytes, Bounds)>,
-    /// Bytes of a scalar of the unknowns, and of the corrections.
-    widths: [f64; 2],
+    nodes: usize,
+    elements: usize,
     timestamps: bool,
     /// Bytes of all buffers.
     bytes: u64,
@@ -159,10 +146,6 @@ struct Device {
 struct Sample {
     seconds: f64,
     band_cells: usize,
-    /// Share of the active quads whose weights are loaded.
-    not_uniform: f64,
-    /// Corrections of the coupled solve; `None` if liquid and solids were solved separately.
-    corrections: Option<Corrections>,
     report: StepReport,
     traffic: Traffic,
     trace: Trace,
@@ -202,131 +185,12 @@ fn path_of(simulation: &Simulation) -> &GpuPath {
 
 impl Device {
     fn new(simulation: &Simulation) -> Device {
-        let path = path_of(simulation);
-        let widths = path.scalar_bytes();
-        let solids = path.solids();
+        let (gpu, solids) = (path_of(simulation).gpu(), simulation.solids());
         Device {
-            solid_bytes: solids
-                .map(|solids| (SolidBytes::new(solids, widths), Bounds::new(solids))),
-            solids: simulation.solids().clone(),
-            widths: widths.map(|bytes| bytes as f64),
-            timestamps: path.gpu().report().timestamps,
-            bytes: path.gpu().allocated().iter().map(|(_, bytes)| bytes).sum(),
-        }
-    }
-
-    /// Corrections of the solve for liquid and solids in the last sub-step of a path.
-    fn corrections(
-        &self,
-        scene: &Scene,
-        path: &GpuPath,
-        report: &StepReport,
-    ) -> Result<Option<Corrections>, Error> {
-        let touching = report.coupling.filter(|both| both.touching);
-        let Some((both, (_, bounds))) = touching.zip(self.solid_bytes.as_ref()) else {
-            return Ok(None);
-        };
-        let (solids, dt) = (&self.solids, report.dt);
-        let degree = match scene.solver.coupling {
-            CouplingScheme::Weak => return Ok(None),
-            _ if both.condensed => {
-                let wet_nodes = path.wet_nodes()?;
-                return Ok(Some(Corrections::Condensed { wet_nodes }));
-            }
-            CouplingScheme::Strong => bounds.chebyshev_degree(solids, dt),
-            // Mass and damping alone. The solve for elasticity before it has no report and is left out.
-            CouplingScheme::DampingOnly => bounds.chebyshev_degree_for(solids, |body| {
-                [1.0 / dt + body.mass_damping, body.stiffness_damping]
-            }),
-        };
-        Ok(Some(Corrections::TwoField { degree }))
-    }
-
-    /// Least memory traffic of a stage in a sub-step, B: each array that a kernel needs, once.
-    fn bytes(&self, scene: &Scene, stage: &str, sample: &Sample) -> f64 {
-        if stage == "solve" {
-            return self.solve_bytes(scene, sample);
-        }
-        let mut bytes = 0.0;
-        if scene.liquid.is_some() {
-            bytes += self.liquid_bytes(scene, stage, sample);
-        }
-        if let Some((solids, _)) = &self.solid_bytes {
-            let effects = Effects::of(scene);
-            bytes += solids.stage(stage, effects.scripts, effects.obstacles);
-        }
-        bytes
-    }
-
-    /// Bytes of all solves of a sub-step.
-    fn solve_bytes(&self, scene: &Scene, sample: &Sample) -> f64 {
-        let [real, inner] = self.widths;
-        // Refinement steps: one with corrections in f64, usually two in f32.
-        let refinements = |bytes: f64| if bytes < 8.0 { 2.0 } else { 1.0 };
-        let liquid = SolveBytes {
-            unknowns: sample.unknowns(),
-            not_uniform: sample.not_uniform,
-            iterations: sample.iterations(),
-            refinements: refinements(inner),
-            widths: [inner, real],
-            preconditioner: scene.solver.preconditioner,
-        };
-        // The size of the right-hand side.
-        let start = liquid.unknowns * real;
-        let Some((solids, bounds)) = &self.solid_bytes else {
-            return start + liquid.pressure();
-        };
-        if let Some(corrections) = sample.corrections {
-            return start + liquid.coupled(solids, corrections);
-        }
-        let degree = bounds.chebyshev_degree(&self.solids, sample.report.dt) as f64;
-        // In a solve of solids alone the corrections have the scalar type of the residuals.
-        start
-            + liquid.pressure()
-            + solids.solve(degree, sample.solid_iterations(), refinements(real))
-    }
-
-    /// Bytes per cell of the band, per unknown, per marker, and per padded cell of the domain where flags are counted. A word of a quad (flags, marks,
-    /// list entries) is a byte per cell.
-    fn liquid_bytes(&self, scene: &Scene, stage: &str, sample: &Sample) -> f64 {
-        let effects = Effects::of(scene);
-        let [real, inner] = self.widths;
-        let padded = scene.grid().padded().len() as f64;
-        // The coarser levels hold a seventh of the finest.
-        let all_levels = padded * 8.0 / 7.0;
-        let band = sample.band_cells as f64;
-        let unknowns = sample.unknowns();
-        let markers = match effects.markers {
-            true => sample.liquid(|liquid| liquid.markers as f64),
-            false => 0.0,
-        };
-        let bodies = f64::from(u8::from(effects.cuts()));
-        let layers = extrapolation_layers(scene.time.cfl) as f64;
-        match stage {
-            // Position read and written; velocity.
-            "advect_markers" => markers * 32.0 + band * (12.0 + 4.0 * bodies),
-            // Position, occupied; flags counted through the domain, list.
-            "band" => markers * 16.0 + band * 3.0 + padded,
-            // With bodies also marks and list of small-aperture faces.
-            "advect_velocity" => band * (12.0 + 12.0 + 1.0 + bodies * 5.0),
-            "forces" => band * (12.0 + 12.0 + 1.0),
-            // Classes near (3) and far (2), squares cleared, spread, made a distance, summed; the extension into solids.
-            "liquid_distance" if effects.markers => {
-                markers * 16.0 + band * (5.0 + 4.0 + 8.0 + 9.0 + 4.0 + bodies * (64.0 + 8.0))
-            }
-            // Flags counted through the domain; distance and list; open fractions; matrix and flags, cleared and written, of all levels.
-            "active_cells" => {
-                all_levels + band * 5.0 + unknowns * (12.0 + 8.0 / 7.0 * (10.0 * inner + 4.0))
-            }
-            // Labels written, joined, read.
-            "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
-            "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
-            // u*, distance, velocity, marks; potential.
-            "write_back" => band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
-            // Marks read and written in each layer, the velocity once; with bodies marks three times more.
-            "extrapolate" => band * (layers * 2.0 + 24.0 + bodies * 31.0),
-            "diagnose" => band * (12.0 + 4.0 + 1.0) + unknowns * (12.0 + 12.0 + 1.0),
-            _ => 0.0,
+            nodes: solids.rest.len(),
+            elements: solids.elements.len(),
+            timestamps: gpu.report().timestamps,
+            bytes: gpu.allocated().iter().map(|(_, bytes)| bytes).sum(),
         }
     }
 }
@@ -350,7 +214,7 @@ impl<'a> Record<'a> {
     fn run(&mut self, options: &Options) -> Result<(), Error> {
         let scene = &self.case.scene;
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
-        let device = self.device.get_or_insert_with(|| Device::new(&simulation));
+        self.device.get_or_insert_with(|| Device::new(&simulation));
         let (mut samples, mut kinds) = (Vec::new(), [false; 2]);
         while simulation.clock().frame < options.frames {
             let gpu = path_of(&simulation).gpu();
@@ -364,8 +228,6 @@ impl<'a> Record<'a> {
                 traffic: path.gpu().traffic().since(before),
                 trace: path.gpu().take_trace(),
                 band_cells: path.band_cells()?,
-                not_uniform: path.share_not_uniform()?,
-                corrections: device.corrections(scene, path, &report)?,
                 report,
             };
             // The first of a kind compiles.
@@ -405,7 +267,7 @@ impl<'a> Record<'a> {
     }
 
     /// Rows of each kind of sub-steps, and of its stages.
-    fn rows(&self, machine: &Machine) -> Rows {
+    fn rows(&self) -> Rows {
         let mut rows = Vec::new();
         for touching in [false, true] {
             let kind = |sample: &&Sample| sample.touching() == touching;
@@ -413,21 +275,14 @@ impl<'a> Record<'a> {
             let repeats = repeats.map(|repeat| repeat.iter().filter(kind).collect());
             let repeats: Vec<Vec<&Sample>> = repeats.collect();
             if let (Some(device), false) = (&self.device, repeats[0].is_empty()) {
-                rows.extend(self.kind_rows(device, touching, &repeats, machine));
+                rows.extend(self.kind_rows(device, touching, &repeats));
             }
         }
         rows
     }
 
     /// Rows of the sub-steps of a kind in each run. Numbers other than seconds are the same in all runs.
-    fn kind_rows(
-        &self,
-        device: &Device,
-        touching: bool,
-        repeats: &[Vec<&Sample>],
-        machine: &Machine,
-    ) -> Rows {
-        let (scene, solids) = (&self.case.scene, &device.solids);
+    fn kind_rows(&self, device: &Device, touching: bool, repeats: &[Vec<&Sample>]) -> Rows {
         let first = &repeats[0];
         let mean = |value: &dyn Fn(&Sample) -> f64| mean(first, value);
         let seconds = over_repeats(repeats, &|sample| sample.seconds);
@@ -437,14 +292,10 @@ impl<'a> Record<'a> {
         };
         let kind = if touching { "touching" } else { "apart" };
         let kind = self.case.key().with(row! { kind: kind });
-        let bytes = mean(&|sample| {
-            let stages = STAGES.iter();
-            stages.map(|stage| device.bytes(scene, stage, sample)).sum()
-        });
         let unknowns = mean(&Sample::unknowns);
         let last = first.last().and_then(|sample| sample.report.liquid);
         let sizes = row! {
-            cells: scene.grid().n_cells(), nodes: solids.rest.len(), elements: solids.elements.len(), sub_steps: first.len(),
+            cells: self.case.scene.grid().n_cells(), nodes: device.nodes, elements: device.elements, sub_steps: first.len(),
             simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(), markers: last.map_or(0, |liquid| liquid.markers),
             unknowns: unknowns, band_cells: mean(&|sample| sample.band_cells as f64), iterations: mean(&Sample::iterations),
             solid_unknowns: mean(&|sample| sample.solid(|solid| solid.solve.unknowns as f64)),
@@ -452,7 +303,7 @@ impl<'a> Record<'a> {
         };
         let times = row! {
             seconds: seconds, sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
-            cells_per_second: unknowns / seconds.median, bytes: bytes, share_of_copy_bandwidth: machine.share(bytes, seconds.median),
+            cells_per_second: unknowns / seconds.median,
             waits: mean(&|sample| sample.traffic.waits as f64), submissions: mean(&|sample| sample.traffic.submissions as f64),
             dispatches: mean(&|sample| sample.traffic.dispatches as f64), bytes_up: mean(&|sample| sample.traffic.bytes_up as f64),
             bytes_down: mean(&|sample| sample.traffic.bytes_down as f64),
@@ -462,14 +313,13 @@ impl<'a> Record<'a> {
         let names = first.iter().flat_map(|sample| &sample.report.seconds);
         for (stage, _) in grouped(names, |(stage, _)| Some(*stage)) {
             let seconds = over_repeats(repeats, &|sample| stage_seconds(&sample.report, &[stage]));
-            let bytes = mean(&|sample| device.bytes(scene, stage, sample));
             let place = match (stage == Stage::Clip.name(), device.timestamps) {
                 (false, _) => "device",
                 (true, true) => "host and device",
                 (true, false) => "host",
             };
             let mut row = kind.clone().with(row! {
-                stage: stage, seconds: seconds, bytes: bytes, share_of_copy_bandwidth: machine.share(bytes, seconds.median),
+                stage: stage, seconds: seconds,
                 dispatches: mean(&|sample| sample.trace.dispatches.iter().filter(|(name, _)| *name == stage).count() as f64),
                 waits: mean(&|sample| sample.trace.waits.iter().filter(|name| **name == stage).count() as f64),
             });
@@ -490,24 +340,6 @@ fn over_repeats(repeats: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spr
     let means = repeats.iter().map(|samples| mean(samples, value));
     Spread::of(means.collect())
 }
-
-/// Stages with a model of their bytes; their sum is that of a sub-step.
-const STAGES: [&str; 14] = [
-    "move_solid",
-    "advect_markers",
-    "band",
-    "advect_velocity",
-    "forces",
-    "liquid_distance",
-    "active_cells",
-    "closed_components",
-    "solid_matrices",
-    "right_hand_side",
-    "solve",
-    "write_back",
-    "extrapolate",
-    "diagnose",
-];
 
 /// Growth with the grid, the solids' meshes, and both.
 pub fn derive(tables: &mut [Table]) {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::table::{Place, Table};
+use super::table::{Place, Table, components, whole};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces};
@@ -31,6 +31,9 @@ const ROTATION_ROUNDINGS: f64 = 256.0;
 
 /// Largest effect of coefficients in f32 on the solution for liquid and solids, relative to its largest number.
 const ASSEMBLY: f64 = 1e-5;
+
+/// A vector per node.
+type Field = [[f64; 3]];
 
 /// Error of R above which the nearest rotation counts as not unique.
 const AMBIGUOUS: f64 = 1e-2;
@@ -198,36 +201,25 @@ impl<'a> SolidComparison<'a> {
         let touched: Vec<bool> = (0..u.len()).map(touches).collect();
         let contact = 8.0 * EPS * longest;
         let (rest, eps) = (&self.solids.rest, unit(after.real));
-        let displacements = [&after.displacement[..], &u];
-        let quantity = ["displacement", "m"];
-        self.table
-            .nodes(rest, quantity, displacements, |node, axis| {
-                let way = dt * (before.velocity[node][axis].abs() + 0.5 * dt * gravity[axis].abs());
-                match touched[node] {
-                    true => contact + rotation[node][0],
-                    false => {
-                        4.0 * PAIR * (u[node][axis].abs() + way) + eps * way + rotation[node][0]
-                    }
-                }
-            });
-        let velocities = [&after.velocity[..], &v];
-        self.table
-            .nodes(rest, ["v*", "m/s"], velocities, |node, _| {
-                let x = rest[node] + DVec3::from(u[node]);
-                let arrives = x.min(size - x).min_element() <= contact;
-                let speed = DVec3::from(before.velocity[node]).length();
-                let wall = if arrives { speed } else { 0.0 };
-                wall + rotation[node][1]
-            });
+        let displacement = |node: usize, axis: usize| {
+            let way = dt * (before.velocity[node][axis].abs() + 0.5 * dt * gravity[axis].abs());
+            let free = 4.0 * PAIR * (u[node][axis].abs() + way) + eps * way;
+            rotation[node][0] + if touched[node] { contact } else { free }
+        };
+        let velocity = |node: usize, _: usize| {
+            let x = rest[node] + DVec3::from(u[node]);
+            let arrives = x.min(size - x).min_element() <= contact;
+            let speed = DVec3::from(before.velocity[node]).length();
+            rotation[node][1] + if arrives { speed } else { 0.0 }
+        };
+        let (us, vs) = ([&after.displacement[..], &u], [&after.velocity[..], &v]);
+        let table = &mut self.table;
+        table.nodes(rest, ["displacement", "m"], us, displacement);
+        table.nodes(rest, ["v*", "m/s"], vs, velocity);
     }
 
     /// Errors of displacement (m) and velocity (m/s) of each node by the rotation of its body. `turned`, `turned_v`: displacements and velocities after it.
-    fn rotation_errors(
-        &self,
-        turned: &[[f64; 3]],
-        turned_v: &[[f64; 3]],
-        eps: f64,
-    ) -> Vec<[f64; 2]> {
+    fn rotation_errors(&self, turned: &Field, turned_v: &Field, eps: f64) -> Vec<[f64; 2]> {
         let before = &self.before;
         let mut errors = vec![[0.0; 2]; turned.len()];
         for body in self.solids.rotating_bodies() {
@@ -235,7 +227,7 @@ impl<'a> SolidComparison<'a> {
                 let nodes = body.nodes.clone();
                 largest(nodes.map(|node| vector(node).length()))
             };
-            let change = |after: &[[f64; 3]], before: &[[f64; 3]]| {
+            let change = |after: &Field, before: &Field| {
                 longest(&|node| DVec3::from(after[node]) - DVec3::from(before[node]))
             };
             let speed = longest(&|node| before.velocity[node].into());
@@ -254,11 +246,11 @@ impl<'a> SolidComparison<'a> {
         let prescribed = &after.prescribed;
         reference::node_forces(&self.solids, prescribed, gravity, self.dt, &mut twin);
         let (eps, dt, rest) = (unit(after.real), self.dt, &self.solids.rest);
+        let bound = |node: usize, axis: usize| {
+            eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs())
+        };
         let velocities = [&after.velocity[..], &twin];
-        self.table
-            .nodes(rest, ["v*", "m/s"], velocities, |node, axis| {
-                eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs())
-            });
+        self.table.nodes(rest, ["v*", "m/s"], velocities, bound);
     }
 
     /// The gradient of the displacement has 8 roundings of its terms. The rotation has these and a few of its own, times the condition of the polar
@@ -268,12 +260,8 @@ impl<'a> SolidComparison<'a> {
         let mut matrices = reference::solid_matrices(solids, &self.pattern, &after.displacement);
         let eps = unit(after.real);
         let mut ambiguous = Vec::new();
-        let [
-            mut gradients,
-            mut moduli,
-            mut element_forces,
-            mut determinants,
-        ] = [const { Vec::new() }; 4];
+        let (mut gradients, mut moduli) = (Vec::new(), Vec::new());
+        let (mut element_forces, mut determinants) = (Vec::new(), Vec::new());
         for element in 0..solids.elements.len() {
             let body = solids.body_of_element(element);
             let g = &solids.gradients[element];
@@ -283,13 +271,8 @@ impl<'a> SolidComparison<'a> {
             let mut error_r = error_f * condition(&matrices.deformations[element]) + 16.0 * eps;
             if error_r > AMBIGUOUS {
                 let bound = 8.0 * eps * size;
-                ambiguous.push(accept_rotation(
-                    solids,
-                    after,
-                    element,
-                    &mut matrices,
-                    bound,
-                ));
+                let rotation = accept_rotation(solids, after, element, &mut matrices, bound);
+                ambiguous.push(rotation);
                 error_r = 64.0 * eps * size;
             }
             let deformation = &matrices.deformations[element];
@@ -305,7 +288,8 @@ impl<'a> SolidComparison<'a> {
                 let rotated = deformation.rotation * g[section + 1];
                 let steep = g[section + 1].length();
                 let bound = steep * (error_r + 4.0 * eps);
-                gradients.extend([0, 1, 2].map(|axis| (gpu[axis], rotated[axis], bound, place)));
+                let [x, y, z, _] = gpu;
+                gradients.extend(components([x, y, z], rotated.into(), bound, place));
                 match twin_moduli.get(section) {
                     Some(&twin) => moduli.push((gpu[3], twin, 6.0 * (EPS + eps) * twin, place)),
                     None => {
@@ -316,7 +300,7 @@ impl<'a> SolidComparison<'a> {
                 let bound = 2.0 * stiffness * steep * strain;
                 let gpu = after.element_forces[section][element];
                 let twin = matrices.element_forces[element][section + 1];
-                element_forces.extend([0, 1, 2].map(|axis| (gpu[axis], twin[axis], bound, place)));
+                element_forces.extend(components(gpu, twin.into(), bound, place));
             }
         }
         for (quantity, pairs) in [
@@ -440,9 +424,8 @@ impl<'a> SolidComparison<'a> {
         });
         let bound = ASSEMBLY * scale(assembled.velocity.as_flattened()).max(fall);
         let velocities = [&stored.velocity[..], &assembled.velocity];
-        let quantity = ["v, with liquid", "m/s"];
-        self.table
-            .nodes(&solids.rest, quantity, velocities, |_, _| bound);
+        let (rest, quantity) = (&solids.rest, ["v, with liquid", "m/s"]);
+        self.table.nodes(rest, quantity, velocities, |_, _| bound);
         Ok(())
     }
 
@@ -491,10 +474,9 @@ impl<'a> SolidComparison<'a> {
             .map(|node| solids.body_of_node(node).zeta_mass(dt) * solids.mass[node])
             .fold(f64::INFINITY, f64::min);
         let bound = (allowed + 1e-12 * norm(&system.rhs)) / least;
-        let velocities = [&after.velocity[..], &twin];
-        let bound = |_, _| bound;
+        let (rest, velocities) = (&solids.rest, [&after.velocity[..], &twin]);
         self.table
-            .nodes(&solids.rest, ["v", "m/s"], velocities, bound);
+            .nodes(rest, ["v", "m/s"], velocities, |_, _| bound);
         Ok(())
     }
 
@@ -540,51 +522,28 @@ impl<'a> SolidComparison<'a> {
             Real::F64 => 0.0,
         };
         let error = shares + (n + 32.0) * f64::EPSILON + EPS * EPS;
-        let mut row = |quantity, unit, gpu, twin, bound| {
-            self.table.whole([quantity, unit], gpu, twin, bound);
-        };
-        let bounds = [size.kinetic_energy, size.potential_energy].map(|size| error * size);
-        row(
-            "kinetic energy",
-            "J",
-            gpu.kinetic_energy,
-            twin.kinetic_energy,
-            bounds[0],
-        );
-        row(
-            "potential energy",
-            "J",
-            gpu.potential_energy,
-            twin.potential_energy,
-            bounds[1],
-        );
-        let bound = EPS * twin.max_speed;
-        row("largest speed", "m/s", gpu.max_speed, twin.max_speed, bound);
-        for a in 0..3 {
-            let bound = error * size.momentum[a];
-            row(
-                "momentum",
-                "kg m/s",
-                gpu.momentum[a],
-                twin.momentum[a],
-                bound,
-            );
-            let bound = 4.0 * error * size.angular_momentum[a];
-            let [gpu, twin] = [gpu, &twin].map(|diagnosis| diagnosis.angular_momentum[a]);
-            row("angular momentum", "kg m^2/s", gpu, twin, bound);
-        }
         // Quadratic in the strain, which has the roundings of F.
         let eps = unit(after.real);
         let rounded = 64.0 * eps * (size.elastic_energy * twin.elastic_energy).sqrt()
             + 4096.0 * eps * eps * size.elastic_energy;
-        let bound = rounded + error * twin.elastic_energy;
-        row(
-            "elastic energy",
-            "J",
-            gpu.elastic_energy,
-            twin.elastic_energy,
-            bound,
-        );
+        whole! { self.table;
+            "kinetic energy" "J": gpu.kinetic_energy, twin.kinetic_energy, error * size.kinetic_energy;
+            "potential energy" "J": gpu.potential_energy, twin.potential_energy, error * size.potential_energy;
+            "largest speed" "m/s": gpu.max_speed, twin.max_speed, EPS * twin.max_speed;
+        }
+        for a in 0..3 {
+            let bounds = [
+                error * size.momentum[a],
+                4.0 * error * size.angular_momentum[a],
+            ];
+            whole! { self.table;
+                "momentum" "kg m/s": gpu.momentum[a], twin.momentum[a], bounds[0];
+                "angular momentum" "kg m^2/s": gpu.angular_momentum[a], twin.angular_momentum[a], bounds[1];
+            }
+        }
+        whole! { self.table;
+            "elastic energy" "J": gpu.elastic_energy, twin.elastic_energy, rounded + error * twin.elastic_energy;
+        }
     }
 }
 

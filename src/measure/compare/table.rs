@@ -157,6 +157,24 @@ impl Row {
     }
 }
 
+/// The components of a vector on both paths.
+pub(super) fn components(
+    gpu: [f64; 3],
+    twin: [f64; 3],
+    bound: f64,
+    place: Place,
+) -> [(f64, f64, f64, Place); 3] {
+    [0, 1, 2].map(|a| (gpu[a], twin[a], bound, place))
+}
+
+/// Adds single numbers to a table: quantity, unit, and GPU, twin and bound.
+macro_rules! whole {
+    ($table:expr; $($quantity:literal $unit:literal: $gpu:expr, $twin:expr, $bound:expr;)*) => { $(
+        $table.whole([$quantity, $unit], $gpu, $twin, $bound);
+    )* };
+}
+pub(super) use whole;
+
 /// Name of a quantity and its unit.
 pub(super) type Quantity = [&'static str; 2];
 
@@ -204,6 +222,20 @@ impl Table {
                 step,
             });
         }
+    }
+
+    /// Adds (GPU, twin, bound, place) to a row, and excuses the numbers that are `None`.
+    pub(super) fn judge(
+        &mut self,
+        quantity: Quantity,
+        pairs: impl IntoIterator<Item = Option<(f64, f64, f64, Place)>>,
+    ) {
+        let mut excused = 0;
+        let compared = pairs
+            .into_iter()
+            .inspect(|pair| excused += usize::from(pair.is_none()));
+        self.add(quantity, compared.flatten());
+        self.excuse(quantity, excused);
     }
 
     /// Adds flags to a row: they must agree everywhere.

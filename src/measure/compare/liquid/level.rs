@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::{LiquidComparison, Place, across_borders, number};
+use super::{LiquidComparison, Place, across_borders, components, number, whole};
 use crate::effects::Effects;
 use crate::grid::Axis;
 use crate::measure::bounds::{EPS, level_error, maccormack_error, marker_error};
@@ -20,6 +20,9 @@ const PATTERNS: u32 = 12;
 const PASS: f64 = 24.0;
 /// Passes of the distance in `redistance`, and what comes after them.
 const PASSES: f64 = 12.0;
+
+/// The liquid after a stage, and its level before and after.
+type Change<'a> = (&'a LiquidSnapshot, &'a LevelSnapshot, &'a LevelSnapshot);
 
 /// Values moved by an amount, up or down.
 fn moved(values: &[f64], by: f64, pattern: u32) -> Vec<f64> {
@@ -35,19 +38,20 @@ impl LiquidComparison<'_> {
     pub(super) fn level(&mut self, stage: Stage, after: &LiquidSnapshot) {
         let both = self.before.level.clone().zip(after.level.as_ref());
         let Some((before, now)) = both else { return };
+        let all = (after, &before, now);
         match stage {
             Stage::AdvectLevel => self.advect_level(after, now),
-            Stage::Occupancy => self.occupancy(after, (&before, now)),
-            Stage::BoundLevel => self.bound_level(after, (&before, now)),
-            Stage::Redistance => self.redistance(after, (&before, now)),
-            Stage::FilterLevel => self.filter_level(after, (&before, now)),
+            Stage::Occupancy => self.occupancy(all),
+            Stage::BoundLevel => self.bound_level(all),
+            Stage::Redistance => self.redistance(all),
+            Stage::FilterLevel => self.filter_level(all),
             Stage::LiquidDistance => self.level_distance(after, &before),
-            Stage::LiquidComponents => self.liquid_components(after, (&before, now)),
+            Stage::LiquidComponents => self.liquid_components(after, now),
             Stage::VolumeShift => self.volume_shift(after, now),
-            Stage::Excess => self.excess(after, (&before, now)),
-            Stage::MarkerBand => self.marker_band(after, (&before, now)),
+            Stage::Excess => self.excess(all),
+            Stage::MarkerBand => self.marker_band(all),
             Stage::Landing => self.landing(after, &before),
-            Stage::Spray => self.spray(after, (&before, now)),
+            Stage::Spray => self.spray(all),
             _ => {}
         }
     }
@@ -82,21 +86,15 @@ impl LiquidComparison<'_> {
         bound: f64,
     ) {
         let [twin, others @ ..] = twins else { return };
-        let mut excused = 0;
-        let mut pairs = Vec::new();
-        for cell in (0..gpu.len()).filter(|&cell| after.band[cell]) {
+        let cells = (0..gpu.len()).filter(|&cell| after.band[cell]);
+        let pairs = cells.map(|cell| {
             let difference = (gpu[cell] - twin[cell]).abs();
             let spread = others.iter().map(|other| (other[cell] - twin[cell]).abs());
-            let within = difference <= bound + 2.0 * spread.fold(0.0, f64::max);
-            if difference > bound && within {
-                excused += 1;
-            } else {
-                let place = Place::cell(&self.grid, cell);
-                pairs.push((gpu[cell], twin[cell], bound, place));
-            }
-        }
-        self.table.add(quantity, pairs);
-        self.table.excuse(quantity, excused);
+            let within = difference <= bound + 2.0 * super::largest(spread);
+            let place = Place::cell(&self.grid, cell);
+            (difference <= bound || !within).then(|| (gpu[cell], twin[cell], bound, place))
+        });
+        self.table.judge(quantity, pairs);
     }
 
     /// Cells from and to which a sub-step stays in the band. The device takes what MacCormack's first pass leaves outside it for air.
@@ -139,12 +137,7 @@ impl LiquidComparison<'_> {
             reference::advect_level(&grid, sides, velocity, of, level, dt)
         };
         let mut twins = self.twins(&level, bound, |level| advected(&ballistic, level));
-        if !ballistic.is_none() {
-            let near = super::NEAR_BALLISTIC * self.extent() * EPS;
-            let others =
-                super::corners().map(|corner| advected(&ballistic.off_by(near * corner), &level));
-            twins.extend(others);
-        }
+        twins.extend(self.near_ballistic().map(|other| advected(&other, &level)));
         // A departure point on a plane of cell centres may have the taps of either side.
         let by = 16.0 * EPS * reference::max_speed(velocity);
         twins.extend((0..PATTERNS).map(|pattern| {
@@ -220,34 +213,27 @@ impl LiquidComparison<'_> {
                 reference::advect_velocity_maccormack(&grid, open, &velocity, &ballistic, dt)
             })
             .collect();
-        if !ballistic.is_none() {
-            let near = super::NEAR_BALLISTIC * self.extent() * EPS;
-            others.extend(super::corners().map(|corner| {
-                let near = ballistic.off_by(near * corner);
-                let velocity = &self.before.velocity;
+        others.extend(
+            self.near_ballistic().map(|near| {
                 reference::advect_velocity_maccormack(&grid, open, velocity, &near, dt)
-            }));
-        }
+            }),
+        );
         let settled = self.settled(after);
         for axis in Axis::ALL {
             let a = axis.index();
-            let (mut pairs, mut excused) = (Vec::new(), 0);
             // A face on a side of the domain may lie in a tile beyond the band.
-            let inside = |face: usize| {
-                let sides = grid.face_sides(axis, grid.face_at(axis, face));
-                after.face_band[a][face] && sides.into_iter().flatten().all(|cell| settled[cell])
+            let inside = |face: &usize| {
+                let sides = grid.face_sides(axis, grid.face_at(axis, *face));
+                after.face_band[a][*face] && sides.into_iter().flatten().all(|cell| settled[cell])
             };
-            for face in (0..grid.n_faces(axis)).filter(|&face| inside(face)) {
+            let pairs = (0..grid.n_faces(axis)).filter(inside).map(|face| {
                 let (gpu, twin) = (after.velocity_next[a][face], twin[a][face]);
                 let spread = others.iter().map(|other| (other[a][face] - twin).abs());
-                let within = (gpu - twin).abs() <= bound + 2.0 * super::largest(spread);
-                match within && (gpu - twin).abs() > bound {
-                    true => excused += 1,
-                    false => pairs.push((gpu, twin, bound, Place::face(&grid, axis, face))),
-                }
-            }
-            self.table.add(["u*", "m/s"], pairs);
-            self.table.excuse(["u*", "m/s"], excused);
+                let (off, place) = ((gpu - twin).abs(), Place::face(&grid, axis, face));
+                let excused = off > bound && off <= bound + 2.0 * super::largest(spread);
+                (!excused).then_some((gpu, twin, bound, place))
+            });
+            self.table.judge(["u*", "m/s"], pairs);
         }
     }
 
@@ -271,15 +257,9 @@ impl LiquidComparison<'_> {
                 velocity: vec![level.marker_velocity[slot]],
                 spray: vec![level.spray[slot]],
             };
-            reference::advect_level_markers(
-                &grid,
-                self.scene.domain.open,
-                velocity,
-                &self.cut.solid_distance,
-                (gravity, &ballistic),
-                dt,
-                &mut one,
-            );
+            let (sides, falls) = (self.scene.domain.open, (gravity, &ballistic));
+            let solid = &self.cut.solid_distance;
+            reference::advect_level_markers(&grid, sides, velocity, solid, falls, dt, &mut one);
             one.position.first().copied()
         };
         let fall = gravity.length() * dt;
@@ -287,46 +267,17 @@ impl LiquidComparison<'_> {
         let fastest = super::largest(flying.map(|v| v.abs())) + fall;
         let bound = marker_error(&grid, velocity, dt)
             + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
-        let (mut gone, mut positions, mut excused) = (Vec::new(), Vec::new(), 0);
-        let slots = self.before.markers.iter().zip(&after.markers).enumerate();
-        for (slot, (start, gpu)) in slots {
-            let Some(start) = *start else { continue };
-            let (place, twin) = (Place::Marker(slot, start.into()), advect(slot, start));
-            let decided = |start| advect(slot, start);
-            if !super::close(gpu, &twin, bound)
-                && super::depends_on_start(start, gpu, bound, decided)
-            {
-                excused += 1;
-                continue;
-            }
-            gone.push((gpu.is_none(), twin.is_none(), place));
-            let both = gpu.zip(twin).into_iter();
-            positions.extend(
-                both.flat_map(|(gpu, twin)| (0..3).map(move |a| (gpu[a], twin[a], bound, place))),
-            );
-        }
-        self.table.add_flags("markers gone", gone);
-        self.table.add(["positions", "m"], positions);
-        self.table.excuse(["positions", "m"], 3 * excused);
+        let markers = [&self.before.markers[..], &after.markers];
+        let rows = super::advected(markers, |_| bound, advect);
+        self.add_advected(rows);
     }
 
     /// A weight is a product of three differences from 1, each off by the roundings of a position in cells, rounded to 2^-20.
-    fn occupancy(
-        &mut self,
-        after: &LiquidSnapshot,
-        (before, now): (&LevelSnapshot, &LevelSnapshot),
-    ) {
+    fn occupancy(&mut self, (after, before, now): Change) {
         let grid = self.grid;
         let markers = self.markers_of_level(before);
-        let fraction = |carried: &[f64]| {
-            reference::occupancy(
-                &grid,
-                &self.cut.solid_distance,
-                carried,
-                &markers.position,
-                &markers.spray,
-            )
-        };
+        let (solid, at, spray) = (&self.cut.solid_distance, &markers.position, &markers.spray);
+        let fraction = |carried: &[f64]| reference::occupancy(&grid, solid, carried, at, spray);
         let carried = self.with_air(after, &now.carried);
         let twins = self.twins(&carried, EPS * REACH, fraction);
         let weight = 3.0 * 4.0 * EPS * self.extent() + (-20.0_f64).exp2();
@@ -360,11 +311,7 @@ impl LiquidComparison<'_> {
     }
 
     /// A root of 1 - |q| near 0 spreads its rounding; the smoothed occupancy is a mean of 27.
-    fn bound_level(
-        &mut self,
-        after: &LiquidSnapshot,
-        (before, now): (&LevelSnapshot, &LevelSnapshot),
-    ) {
+    fn bound_level(&mut self, (after, before, now): Change) {
         let carried = self.with_air(after, &before.carried);
         let occupancy = &before.occupancy;
         let bounded = |carried: &[f64], occupancy: &[f64]| {
@@ -378,21 +325,12 @@ impl LiquidComparison<'_> {
             let occupancy: Vec<f64> = occupancy.collect();
             twins.push(bounded(&carried, &occupancy));
         }
-        self.band_cells(
-            ["phi", "cells"],
-            after,
-            &now.level,
-            &twins,
-            PASS * EPS * REACH,
-        );
+        let bound = PASS * EPS * REACH;
+        self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
     /// Each pass adds the roundings of a root of sums of squares.
-    fn redistance(
-        &mut self,
-        after: &LiquidSnapshot,
-        (before, now): (&LevelSnapshot, &LevelSnapshot),
-    ) {
+    fn redistance(&mut self, (after, before, now): Change) {
         let level = self.with_air(after, &before.level);
         let bound = PASSES * PASS * EPS * REACH;
         let twins = self.twins(&level, bound, |level| {
@@ -403,11 +341,7 @@ impl LiquidComparison<'_> {
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
-    fn filter_level(
-        &mut self,
-        after: &LiquidSnapshot,
-        (before, now): (&LevelSnapshot, &LevelSnapshot),
-    ) {
+    fn filter_level(&mut self, (after, before, now): Change) {
         let level = self.with_air(after, &before.level);
         let thin = reference::thin_liquid(&self.grid, &self.with_air(after, &before.carried));
         let bound = PASS * EPS * REACH;
@@ -434,11 +368,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Labels depend on signs alone, which are equal. Where a cell comes from may hang on a rounding, which moves a cell between targets.
-    fn liquid_components(
-        &mut self,
-        after: &LiquidSnapshot,
-        (before, now): (&LevelSnapshot, &LevelSnapshot),
-    ) {
+    fn liquid_components(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot) {
         let grid = self.grid;
         let level = self.in_cells(&after.liquid_distance);
         let (open, volumes) = (&self.cut.open, &self.open_volumes);
@@ -456,11 +386,10 @@ impl LiquidComparison<'_> {
         if Effects::of(self.scene).exchange() {
             let of_step = after.report.exchanged;
             let volumes = [of_step.left, of_step.sunk, of_step.filled];
-            let quantities = ["volume left", "volume sunk", "volume filled"];
+            let quantities = ["volume left", "volume sunk", "volume filled"].map(|it| [it, "m^3"]);
             let pairs = quantities.into_iter().zip(volumes);
-            for ((quantity, gpu), (twin, bound)) in pairs.zip(self.twin.exchanged) {
-                self.table
-                    .whole([quantity, "m^3"], one * gpu, one * twin, one * bound);
+            for ((row, gpu), (twin, bound)) in pairs.zip(self.twin.exchanged) {
+                self.table.whole(row, one * gpu, one * twin, one * bound);
             }
             total += one * (of_step.filled - of_step.left - of_step.sunk + of_step.limited);
         }
@@ -469,7 +398,6 @@ impl LiquidComparison<'_> {
         let twin_whole = if has_liquid { total } else { 0.0 };
         let quantity = ["target volume", "m^3"];
         self.table.whole(quantity, whole, twin_whole, bound);
-        let _ = before;
     }
 
     /// The shift is a quotient of sums, whose relative error is that of the volume over what the liquid lacks.
@@ -504,24 +432,17 @@ impl LiquidComparison<'_> {
     }
 
     /// Two times 27 weights and a quotient by at least 0.05.
-    fn excess(&mut self, after: &LiquidSnapshot, (before, now): (&LevelSnapshot, &LevelSnapshot)) {
+    fn excess(&mut self, (after, before, now): Change) {
         let grid = self.grid;
         let level = self.in_cells(&after.liquid_distance);
         let (open, volumes) = (&self.cut.open, &self.open_volumes);
-        let components = reference::liquid_components(&grid, open, volumes, &level);
-        let mut components = components;
+        let mut components = reference::liquid_components(&grid, open, volumes, &level);
         components.label.clone_from(&now.component);
-        if components
-            .label
-            .iter()
-            .any(|&label| label as usize > components.enclosed.len())
-        {
+        let n = components.enclosed.len();
+        if components.label.iter().any(|&label| label as usize > n) {
             return;
         }
-        let most = before
-            .occupancy
-            .iter()
-            .fold(1.0, |most: f64, f| most.max(f.abs()));
+        let most = super::largest(before.occupancy.iter().map(|f| f.abs())).max(1.0);
         let bound = 64.0 * EPS * most / 0.05;
         let twins = self.twins(&level, 2.0 * EPS * REACH, |level| {
             let renewed = self.renewed;
@@ -532,45 +453,29 @@ impl LiquidComparison<'_> {
     }
 
     /// Deleted and seeded markers. A sample of the level near the depth of the band may be on either side of it.
-    fn marker_band(
-        &mut self,
-        after: &LiquidSnapshot,
-        (before, now): (&LevelSnapshot, &LevelSnapshot),
-    ) {
+    fn marker_band(&mut self, (after, before, now): Change) {
         let grid = self.grid;
         let mut markers = self.markers_of_level(before);
         let n_before = markers.position.len();
         let level = self.in_cells(&after.liquid_distance);
         let carried = self.with_air(after, &now.carried);
-        let levels = Levels {
-            carried: &carried,
-            level: &level,
-        };
-        let numbers = self.numbers();
-        let [deleted, seeded] = reference::marker_band(
-            &grid,
-            &self.cut.solid_distance,
-            levels,
-            &now.excess,
-            numbers,
-            &self.before.velocity,
-            &mut markers,
-        );
+        let (carried, level) = (&carried, &level);
+        let levels = Levels { carried, level };
+        let numbers = [self.running.seed, self.running.step];
+        let (solid, velocity) = (&self.cut.solid_distance, &self.before.velocity);
+        let crowd = &now.excess;
+        let [deleted, seeded] =
+            reference::marker_band(&grid, solid, levels, crowd, numbers, velocity, &mut markers);
         let slots = self.before.markers.iter().zip(&after.markers);
-        let gone = slots
-            .filter(|(x, now)| x.is_some() && now.is_none())
-            .count();
+        let gone = slots.filter(|(x, now)| x.is_some() && now.is_none());
+        let gone = gone.count();
         let alive = after.markers.iter().flatten().count();
         let new = (alive + gone).saturating_sub(n_before);
         // As many markers as lie within a rounding of the depth may differ: of some thousand, one.
         let near = |n: usize| 1.0 + 1e-3 * n as f64;
-        for (quantity, gpu, twin) in [
-            ("markers deleted", gone, deleted),
-            ("markers seeded", new, seeded),
-        ] {
-            let bound = near(twin);
-            self.table
-                .whole([quantity, ""], gpu as f64, twin as f64, bound);
+        whole! { self.table;
+            "markers deleted" "": gone as f64, deleted as f64, near(deleted);
+            "markers seeded" "": new as f64, seeded as f64, near(seeded);
         }
         let first = self.before.markers.iter().rposition(Option::is_some);
         let first = first.map_or(0, |last| last + 1);
@@ -582,7 +487,7 @@ impl LiquidComparison<'_> {
             let pairs = fresh.iter().zip(twin).enumerate();
             let positions = pairs.flat_map(|(index, (gpu, twin))| {
                 let place = Place::Marker(first + index, (*twin).into());
-                (0..3).map(move |a| (gpu[a], twin[a], bound, place))
+                components(*gpu, *twin, bound, place)
             });
             self.table.add(["new positions", "m"], positions);
         }
@@ -603,14 +508,8 @@ impl LiquidComparison<'_> {
         let landed = reference::land(&grid, phi, &mut markers);
         let mut faces = self.before.velocity_next.clone();
         let open = &self.cut.open;
-        reference::take_landing(
-            &grid,
-            open,
-            (phi, &volumes),
-            (&markers, &landed),
-            dt,
-            &mut faces,
-        );
+        let (liquid, flying) = ((&phi[..], &volumes[..]), (&markers, &landed[..]));
+        reference::take_landing(&grid, open, liquid, flying, dt, &mut faces);
         let fastest = landed.iter().flat_map(|&marker| markers.velocity[marker]);
         let fastest = super::largest(fastest.map(f64::abs)).max(reference::max_speed(&faces));
         let weight = EPS * 24.0 * self.extent() * 256.0 + 2.0 * (-16.0_f64).exp2();
@@ -619,34 +518,25 @@ impl LiquidComparison<'_> {
             let mut near = vec![0.0; grid.n_faces(axis)];
             for &marker in &landed {
                 let around = grid.faces_around(axis, markers.position[marker].into());
-                around
-                    .weights()
-                    .into_iter()
-                    .for_each(|(face, _)| near[face] += 1.0);
+                let faces = around.weights().into_iter();
+                faces.for_each(|(face, _)| near[face] += 1.0);
             }
-            let (mut pairs, mut excused) = (Vec::new(), 0);
-            for face in (0..grid.n_faces(axis)).filter(|&face| after.face_band[a][face]) {
+            let band = (0..grid.n_faces(axis)).filter(|&face| after.face_band[a][face]);
+            let pairs = band.map(|face| {
                 let mass = reference::face_mass(&grid, &volumes, axis, face).max(1e-3);
                 let off = near[face] / 8.0 * weight * (fastest + grid.dx / dt) / mass;
                 let bound = off.min(2.0 * fastest) + 400.0 * EPS * fastest * near[face].min(1.0);
                 let (gpu, twin) = (after.velocity_next[a][face], faces[a][face]);
-                match near[face] > 0.0 && (gpu - twin).abs() > bound {
-                    true => excused += 1,
-                    false => pairs.push((gpu, twin, bound, Place::face(&grid, axis, face))),
-                }
-            }
-            self.table.add(["u*", "m/s"], pairs);
-            self.table.excuse(["u*", "m/s"], excused);
+                let excused = near[face] > 0.0 && (gpu - twin).abs() > bound;
+                let place = Place::face(&grid, axis, face);
+                (!excused).then_some((gpu, twin, bound, place))
+            });
+            self.table.judge(["u*", "m/s"], pairs);
         }
     }
 
-    /// Seed and number of the sub-step.
-    fn numbers(&self) -> [u32; 2] {
-        [self.running.seed, self.running.step]
-    }
-
     /// A marker within its rounding of a plane of cell centres may have other cells around it. Velocities: a trilinear sample.
-    fn spray(&mut self, after: &LiquidSnapshot, (before, now): (&LevelSnapshot, &LevelSnapshot)) {
+    fn spray(&mut self, (after, before, now): Change) {
         let grid = self.grid;
         let mut twin = self.markers_of_level(before);
         let (phi, velocity) = (&after.liquid_distance, &after.velocity);
@@ -669,20 +559,10 @@ impl LiquidComparison<'_> {
                 excused += 1;
                 continue;
             }
-            flags.push((
-                number(now.spray[slot]),
-                number(twin.spray[index]),
-                0.0,
-                place,
-            ));
-            velocities.extend((0..3).map(|a| {
-                (
-                    now.marker_velocity[slot][a],
-                    twin.velocity[index][a],
-                    bound,
-                    place,
-                )
-            }));
+            let spray = [now.spray[slot], twin.spray[index]].map(number);
+            flags.push((spray[0], spray[1], 0.0, place));
+            let (gpu, twin) = (now.marker_velocity[slot], twin.velocity[index]);
+            velocities.extend(components(gpu, twin, bound, place));
         }
         self.table.add(["spray", "flag"], flags);
         self.table.excuse(["spray", "flag"], excused);

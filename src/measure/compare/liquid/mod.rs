@@ -6,7 +6,7 @@ mod pressure;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::table::{Place, Table, number};
+use super::table::{Place, Table, components, number, whole};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::effects::Effects;
@@ -259,9 +259,10 @@ impl<'a> LiquidComparison<'a> {
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = match self.cuts() {
-            true => 3.0 * 64.0 * grid.dx,
-            false => 0.0,
+        let pushed = if self.cuts() {
+            3.0 * 64.0 * grid.dx
+        } else {
+            0.0
         };
         let phi = &self.before.liquid_distance;
         let distance = reference::surface_distance(&grid, solid_distance, phi);
@@ -279,32 +280,23 @@ impl<'a> LiquidComparison<'a> {
             );
             advected.0.first().copied()
         };
-        let markers = self.before.markers.par_iter().zip(&after.markers);
-        let pairs = markers.map(|(start, gpu)| {
-            let Some(start) = *start else {
-                return (0.0, *gpu, None, false);
-            };
-            let bound = error.at(start.into()) + EPS * pushed;
-            let twin = advect(start);
-            let excused = !close(gpu, &twin, bound) && depends_on_start(start, gpu, bound, advect);
-            (bound, *gpu, twin, excused)
-        });
-        let pairs: Vec<(f64, Marker, Marker, bool)> = pairs.collect();
-        let place = |index: usize| {
-            Place::Marker(index, self.before.markers[index].unwrap_or_default().into())
-        };
-        let compared = || pairs.iter().enumerate().filter(|(_, pair)| !pair.3);
-        let gone = compared()
-            .map(|(index, (_, gpu, twin, _))| (gpu.is_none(), twin.is_none(), place(index)));
+        let bound = |start: DVec3| error.at(start) + EPS * pushed;
+        let markers = [&self.before.markers[..], &after.markers];
+        let rows = advected(markers, bound, |_, start| advect(start));
+        self.add_advected(rows);
+    }
+
+    /// Adds the rows of [`advected`] markers.
+    fn add_advected(&mut self, rows: Vec<Advected>) {
+        let compared = || rows.iter().filter(|(.., excused)| !excused);
+        let gone = compared().map(|(gpu, twin, _, at, _)| (gpu.is_none(), twin.is_none(), *at));
         self.table.add_flags("markers gone", gone);
-        let positions = compared().flat_map(|(index, &(bound, gpu, twin, _))| {
+        let positions = compared().flat_map(|&(gpu, twin, bound, place, _)| {
             let both = gpu.zip(twin).into_iter();
-            both.flat_map(move |(gpu, twin)| {
-                (0..3).map(move |a| (gpu[a], twin[a], bound, place(index)))
-            })
+            both.flat_map(move |(gpu, twin)| components(gpu, twin, bound, place))
         });
         self.table.add(["positions", "m"], positions);
-        let excused = pairs.iter().filter(|pair| pair.3).count();
+        let excused = rows.iter().filter(|(.., excused)| *excused).count();
         self.table.excuse(["positions", "m"], 3 * excused);
     }
 
@@ -374,7 +366,7 @@ impl<'a> LiquidComparison<'a> {
             let places = gpu.iter().zip(twin).enumerate();
             let positions = places.flat_map(|(index, (gpu, twin))| {
                 let place = Place::Marker(n_before + index, (*twin).into());
-                (0..3).map(move |a| (gpu[a], twin[a], bound, place))
+                components(*gpu, *twin, bound, place)
             });
             self.table.add(["new positions", "m"], positions);
         }
@@ -399,14 +391,10 @@ impl<'a> LiquidComparison<'a> {
             self.maccormack(after, (&twin, open));
             return;
         }
-        if ballistic.is_none() {
-            self.add_band_faces(after, &twin, |_, _| bound);
-            return;
-        }
-        // Where a position so near decides otherwise about what is ballistic, either is right.
-        let near = NEAR_BALLISTIC * self.extent() * EPS;
-        let others = corners().map(|corner| advected(&ballistic.off_by(near * corner)));
-        let others: Vec<_> = others.collect();
+        let others: Vec<_> = self
+            .near_ballistic()
+            .map(|other| advected(&other))
+            .collect();
         let bounds = |a: usize, face: usize| {
             let of = twin[a][face];
             let others = others.iter().map(|other| (other[a][face] - of).abs());
@@ -425,6 +413,13 @@ impl<'a> LiquidComparison<'a> {
             _ => ballistic,
         };
         Ballistic::new(filled, ballistic, self.gravity(), self.dt())
+    }
+
+    /// The same for positions that are off by their error; none where nothing is ballistic. Where one decides otherwise, either is right.
+    fn near_ballistic(&self) -> impl Iterator<Item = Ballistic<'_>> {
+        let (ballistic, near) = (self.ballistic(), NEAR_BALLISTIC * self.extent() * EPS);
+        let corners = corners().filter(move |_| !ballistic.is_none());
+        corners.map(move |corner| ballistic.off_by(near * corner))
     }
 
     /// One product and one sum.
@@ -710,8 +705,7 @@ impl<'a> LiquidComparison<'a> {
         let means = EPS * speed * (blended + 10.0 * layers as f64);
         for axis in Axis::ALL {
             let a = axis.index();
-            let (mut pairs, mut excused) = (Vec::new(), 0);
-            for face in 0..grid.n_faces(axis) {
+            let pairs = (0..grid.n_faces(axis)).map(|face| {
                 let (gpu, twin) = (after.velocity[a][face], twin[a][face]);
                 let slip = match self.cuts() && self.cut.open[a][face] == 0.0 {
                     true => self.slip_roundings(axis, face),
@@ -719,15 +713,13 @@ impl<'a> LiquidComparison<'a> {
                 };
                 // With free slip or without it, no face is faster than a vector of three such components.
                 let possible = gpu.abs() <= 3.0_f64.sqrt() * speed + means;
-                if slip.is_none() && possible && (gpu - twin).abs() > means {
-                    excused += 1;
-                } else {
-                    let bound = means + EPS * speed * slip.unwrap_or(0.0);
-                    pairs.push((gpu, twin, bound, Place::face(&grid, axis, face)));
-                }
-            }
-            self.table.add(["u", "m/s"], pairs);
-            self.table.excuse(["u", "m/s"], excused);
+                let excused = slip.is_none() && possible && (gpu - twin).abs() > means;
+                let bound = means + EPS * speed * slip.unwrap_or(0.0);
+                let place = Place::face(&grid, axis, face);
+                (!excused).then_some((gpu, twin, bound, place))
+            });
+            let pairs: Vec<_> = pairs.collect();
+            self.table.judge(["u", "m/s"], pairs);
         }
         self.twin.velocity = twin;
         let worst = self.table.row(["u", "m/s"]).worst;
@@ -803,46 +795,19 @@ impl<'a> LiquidComparison<'a> {
         let quantum = grid.dx * (-13.0_f64).exp2() * spray_mass;
         let (way, height_quantum) = (quantum / self.dt(), quantum * gravity.length());
         let energy = 1.5 * mass * speed * speed + 0.5 * way * (grid.dx / self.dt());
-        let mut row = |quantity, unit, gpu, twin, bound| {
-            self.table.whole([quantity, unit], gpu, twin, bound);
-        };
-        row("volume", "m^3", gpu.volume, twin.volume, volume);
-        for (a, quantity) in ["momentum x", "momentum y", "momentum z"]
-            .into_iter()
-            .enumerate()
-        {
-            row(
-                quantity,
-                "kg m/s",
-                gpu.momentum[a],
-                twin.momentum[a],
-                mass * speed + way,
-            );
+        let ([px, py, pz], [qx, qy, qz], momentum) =
+            (gpu.momentum, twin.momentum, mass * speed + way);
+        // The largest speed is that of the faces, without spray.
+        whole! { self.table;
+            "volume" "m^3": gpu.volume, twin.volume, volume;
+            "momentum x" "kg m/s": px, qx, momentum;
+            "momentum y" "kg m/s": py, qy, momentum;
+            "momentum z" "kg m/s": pz, qz, momentum;
+            "kinetic energy" "J": gpu.kinetic_energy, twin.kinetic_energy, energy;
+            "potential energy" "J": gpu.potential_energy, twin.potential_energy, mass * height + height_quantum;
+            "largest speed" "m/s": gpu.max_speed, twin.max_speed, 0.0;
+            "divergence" "1/s": gpu.divergence, twin.divergence, divergence;
         }
-        let [kinetic, potential] = ["kinetic energy", "potential energy"];
-        row(
-            kinetic,
-            "J",
-            gpu.kinetic_energy,
-            twin.kinetic_energy,
-            energy,
-        );
-        row(
-            potential,
-            "J",
-            gpu.potential_energy,
-            twin.potential_energy,
-            mass * height + height_quantum,
-        );
-        // Of the faces, without spray.
-        row("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0);
-        row(
-            "divergence",
-            "1/s",
-            gpu.divergence,
-            twin.divergence,
-            divergence,
-        );
     }
 
     /// Whether liquid and solids touch, and the sum of J^T p with areas in f32: a rounding per node of a sum and level of the tree in f32.
@@ -934,6 +899,27 @@ impl<'a> LiquidComparison<'a> {
             self.table.add([quantity, unit], [pair]);
         }
     }
+}
+
+/// A marker after its advection: on the GPU, of the twin, bound (m), place, and whether it is excused.
+type Advected = (Marker, Marker, f64, Place, bool);
+
+/// Markers in slots before and after their advection. `bound`: error of the end of a marker by its start, m; `advect`: twin of the marker in a slot.
+fn advected(
+    [before, after]: [&[Marker]; 2],
+    bound: impl Fn(DVec3) -> f64 + Sync,
+    advect: impl Fn(usize, [f64; 3]) -> Marker + Sync,
+) -> Vec<Advected> {
+    let slots = before.par_iter().zip(after).enumerate();
+    let rows = slots.map(|(slot, (start, gpu))| {
+        let place = Place::Marker(slot, start.unwrap_or_default().into());
+        let bound = start.map_or(0.0, |start| bound(start.into()));
+        let twin = start.and_then(|start| advect(slot, start));
+        let decides = |start| depends_on_start(start, gpu, bound, |start| advect(slot, start));
+        let excused = !close(gpu, &twin, bound) && start.is_some_and(decides);
+        (*gpu, twin, bound, place, excused)
+    });
+    rows.collect()
 }
 
 /// Whether two markers agree within a bound (m), or both are deleted.
