@@ -13,7 +13,7 @@ use super::sweep::{Status, Sweep};
 use crate::Error;
 use crate::output::plot::{Chart, Run, write_page};
 use crate::output::write_atomically;
-use crate::scene::{Scene, SolidMesh};
+use crate::scene::{Scene, SolidMesh, names};
 
 /// Statistics of a probe that are studied, with their places in [`Statistics::numbers`].
 const QUANTITIES: [(&str, usize); 4] = [("least", 0), ("largest", 2), ("mean", 4), ("last", 5)];
@@ -42,18 +42,9 @@ pub enum Verdict {
     TooFast,
 }
 
-impl Verdict {
-    /// Name in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Verdict::Constant => "constant",
-            Verdict::Converges => "converges",
-            Verdict::Oscillates => "oscillates",
-            Verdict::Diverges => "diverges",
-            Verdict::TooSlow => "too_slow",
-            Verdict::TooFast => "too_fast",
-        }
-    }
+names! {
+    Verdict: "constant" => Constant, "converges" => Converges, "oscillates" => Oscillates, "diverges" => Diverges,
+        "too_slow" => TooSlow, "too_fast" => TooFast;
 }
 
 /// Order and estimate from three grids.

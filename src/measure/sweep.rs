@@ -14,7 +14,7 @@ use super::probe_statistics::Statistics;
 use crate::Error;
 use crate::output::manifest::{Manifest, RunStatus};
 use crate::output::write_atomically;
-use crate::scene::{Scene, override_option};
+use crate::scene::{Scene, names, override_option};
 
 /// Most runs of a sweep: a folder each.
 const MAX_RUNS: usize = 100_000;
@@ -216,20 +216,9 @@ pub enum Status {
     Refused,
 }
 
-impl Status {
-    /// Name in summary.csv.
-    pub fn name(self) -> &'static str {
-        match self {
-            Status::Missing => "missing",
-            Status::Finished => "finished",
-            Status::Failed => "failed",
-            Status::Interrupted => "interrupted",
-            Status::BrokenOff => "broken_off",
-            Status::Running => "running",
-            Status::Outdated => "outdated",
-            Status::Refused => "refused",
-        }
-    }
+names! {
+    Status: "missing" => Missing, "finished" => Finished, "failed" => Failed, "interrupted" => Interrupted, "broken_off" => BrokenOff,
+        "running" => Running, "outdated" => Outdated, "refused" => Refused;
 }
 
 /// A row of summary.csv, without the values that the run has not reached.

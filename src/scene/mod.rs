@@ -905,10 +905,10 @@ pub enum Precision {
 macro_rules! names {
     ($($kind:ident: $($name:literal => $value:ident),*;)*) => { $(
         impl $kind {
-            /// Words of scene files and their values.
+            /// Names in files and options, and their values.
             pub const NAMES: &[(&'static str, $kind)] = &[$(($name, $kind::$value)),*];
 
-            /// Word in scene files and tables.
+            /// Name in files and tables.
             pub fn name(self) -> &'static str {
                 match self {
                     $($kind::$value => $name),*
@@ -917,6 +917,7 @@ macro_rules! names {
         }
     )* };
 }
+pub(crate) use names;
 names! {
     Precision: "f32" => F32, "mixed" => Mixed, "f64" => F64;
     Preconditioner: "multigrid" => Multigrid, "jacobi" => Jacobi, "block_jacobi" => BlockJacobi;

@@ -1,7 +1,5 @@
 //! The GPU path of a simulation: one scene on one device, and the host's share of its state.
 
-use std::collections::BTreeSet;
-
 use glam::DVec3;
 
 use crate::Error;

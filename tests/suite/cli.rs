@@ -144,7 +144,6 @@ fn help_shows_lists_as_they_are_typed() {
     let folder = folder(DAM);
     for (bench, list) in [
         ("solve", "20,40,60,80"),
-        ("solids", "1000,10000,100000"),
         ("accuracy", "f32,mixed,f64"),
         ("accuracy", "1e-2,1e-4,1e-6,1e-8,1e-10,1e-12"),
         ("thesis", "6.1,6.2,6.3,6.4,6.5,6.6"),

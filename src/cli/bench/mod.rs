@@ -153,8 +153,6 @@ fn named<T: Copy + Send + Sync + 'static>(
     })
 }
 
-const PRECISIONS: &[(&str, Precision)] = Precision::NAMES;
-
 const PRECONDITIONERS: &[(&str, Preconditioner)] = &[
     ("multigrid", Preconditioner::Multigrid),
     ("jacobi", Preconditioner::Jacobi),
@@ -300,7 +298,7 @@ struct Accuracy {
     #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     grids: Vec<usize>,
     /// Precisions to measure
-    #[arg(long, value_parser = named(PRECISIONS), value_delimiter = ',', value_name = "P,..", default_value = "f32,mixed,f64")]
+    #[arg(long, value_parser = named(Precision::NAMES), value_delimiter = ',', value_name = "P,..", default_value = "f32,mixed,f64")]
     precision: Vec<Precision>,
     /// Preconditioners to measure
     #[arg(long, value_parser = named(PRECONDITIONERS), value_delimiter = ',', value_name = "P,..", default_value = "multigrid")]
@@ -373,7 +371,7 @@ struct Thesis {
     )]
     frames: Vec<u64>,
     /// Precisions of the device, beside the f64 path
-    #[arg(long, value_parser = named(PRECISIONS), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
+    #[arg(long, value_parser = named(Precision::NAMES), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
     precision: Vec<Precision>,
     #[command(flatten)]
     repeats: Repeats,

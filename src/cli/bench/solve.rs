@@ -7,7 +7,7 @@ use crate::measure::bench::{Listener, Settings};
 use crate::scene::{Precision, Preconditioner, Solver};
 use clap::Args;
 
-use super::{OrMax, Output, PRECISIONS, PRECONDITIONERS, Repeats, check_tolerance, named};
+use super::{OrMax, Output, PRECONDITIONERS, Repeats, check_tolerance, named};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -32,10 +32,10 @@ pub(super) struct Solve {
     )]
     tolerance: Vec<f64>,
     /// Precisions to measure
-    #[arg(long, value_parser = named(PRECISIONS), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
+    #[arg(long, value_parser = named(Precision::NAMES), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
     precision: Vec<Precision>,
     /// Systems to solve: pressures on the base block, or pressures and the velocities of a beam on the base scene
-    #[arg(long, value_parser = named(FORMULATIONS), value_delimiter = ',', value_name = "F,..", default_value = "pressure")]
+    #[arg(long, value_parser = named(Formulation::NAMES), value_delimiter = ',', value_name = "F,..", default_value = "pressure")]
     formulation: Vec<Formulation>,
     /// Preconditioners of the pressure to measure
     #[arg(long, value_parser = named(PRECONDITIONERS), value_delimiter = ',', value_name = "P,..", default_value = "multigrid")]
@@ -56,12 +56,6 @@ pub(super) struct Solve {
     #[command(flatten)]
     adapter: AdapterArgs,
 }
-
-const FORMULATIONS: &[(&str, Formulation)] = &[
-    ("pressure", Formulation::Pressure),
-    ("two-field", Formulation::TwoField),
-    ("condensed", Formulation::Condensed),
-];
 
 const REFERENCES: &[(&str, ReferenceSolver)] = &[
     ("ic0", ReferenceSolver::IncompleteCholesky),

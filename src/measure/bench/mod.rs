@@ -26,7 +26,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use serde::ser::{Serialize, SerializeMap, Serializer};
+use serde::{Serialize, Serializer};
 use serde_json::Value as Json;
 
 use crate::Error;
@@ -86,17 +86,20 @@ pub(crate) struct Bench {
 }
 
 /// Tables of a bench and their machine.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Results {
     /// Machine of the measurement.
+    #[serde(flatten)]
     pub machine: Machine,
-    /// All tables, also empty ones.
-    pub tables: Vec<Table>,
-    /// Failed checks, a line each.
-    pub failures: Vec<String>,
+    request: String,
     /// Runs that measured the rows, first to last: several if rows were kept.
     parts: Vec<Json>,
-    request: String,
+    /// All tables, also empty ones.
+    #[serde(flatten, serialize_with = "by_key")]
+    pub tables: Vec<Table>,
+    /// Failed checks, a line each.
+    #[serde(skip)]
+    pub failures: Vec<String>,
 }
 
 impl Results {
@@ -133,24 +136,15 @@ fn replace(tables: &mut [Table], name: &str, rows: Vec<Row>) {
     }
 }
 
-impl Serialize for Results {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let mut map = to.serialize_map(None)?;
-        let machine = serde_json::to_value(&self.machine).map_err(serde::ser::Error::custom)?;
-        for (key, value) in machine.as_object().into_iter().flatten() {
-            map.serialize_entry(key, value)?;
-        }
-        map.serialize_entry("request", &self.request)?;
-        map.serialize_entry("parts", &self.parts)?;
-        for (at, table) in self.tables.iter().enumerate() {
-            let key = table
-                .name
-                .split_once('_')
-                .map_or(table.name, |(_, key)| key);
-            map.serialize_entry(if at == 0 { "rows" } else { key }, table)?;
-        }
-        map.end()
-    }
+/// Tables by the end of their name; the first has the key `rows`.
+fn by_key<S: Serializer>(tables: &[Table], to: S) -> Result<S::Ok, S::Error> {
+    to.collect_map(tables.iter().enumerate().map(|(at, table)| {
+        let key = table
+            .name
+            .split_once('_')
+            .map_or(table.name, |(_, key)| key);
+        (if at == 0 { "rows" } else { key }, table)
+    }))
 }
 
 /// Rows, each with the name of its table.

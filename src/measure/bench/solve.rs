@@ -27,7 +27,7 @@ use crate::measure::base_scene::{DeviceScene, block_fields};
 use crate::reference::CoupledSystem;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
-use crate::scene::{self, Solver};
+use crate::scene::{self, Solver, names};
 use crate::solver::PressureSolver;
 use crate::stages::{Everywhere, PressureSystem};
 use crate::state::SolveStatus;
@@ -52,15 +52,7 @@ pub enum Formulation {
     Condensed,
 }
 
-impl Formulation {
-    fn name(self) -> &'static str {
-        match self {
-            Formulation::Pressure => "pressure",
-            Formulation::TwoField => "two-field",
-            Formulation::Condensed => "condensed",
-        }
-    }
-}
+names! { Formulation: "pressure" => Pressure, "two-field" => TwoField, "condensed" => Condensed; }
 
 /// Systems to measure.
 #[derive(Clone, Debug)]

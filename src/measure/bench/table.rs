@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::ser::{Serialize, SerializeMap, Serializer};
+use serde::ser::{Serialize, Serializer};
 
 use super::statistics::Spread;
 use crate::Error;
@@ -165,11 +165,11 @@ impl Row {
         if let Some(value) = self.0.get(name) {
             return value.clone();
         }
-        let end = ENDS.iter().position(|end| name.ends_with(end));
-        let spread = end.and_then(|end| Some((end, self.spread(name.strip_suffix(ENDS[end])?)?)));
-        spread.map_or(Value::Empty, |(end, Spread { median, min, max })| {
-            [median, min, max][end].into()
-        })
+        let ends = ENDS.iter().enumerate();
+        let spread =
+            ends.filter_map(|(end, text)| Some((end, self.spread(name.strip_suffix(text)?)?)));
+        let value = spread.map(|(end, Spread { median, min, max })| [median, min, max][end]);
+        value.last().into()
     }
 
     /// A number; NaN if absent.
@@ -435,10 +435,6 @@ struct Object<'a>(&'a [Cow<'static, str>], &'a Row);
 
 impl Serialize for Object<'_> {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let mut map = to.serialize_map(Some(self.0.len()))?;
-        for head in self.0 {
-            map.serialize_entry(head, &self.1.get(head))?;
-        }
-        map.end()
+        to.collect_map(self.0.iter().map(|head| (head, self.1.get(head))))
     }
 }

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use crate::Error;
-use crate::scene::{Scene, Solver};
+use crate::scene::{Scene, Solver, names};
 use crate::sim::{reference_path, solids_of};
 use crate::state::State;
 
@@ -29,19 +29,9 @@ pub enum Exact {
     Dam,
 }
 
+names! { Exact: "elastic_block" => Block, "pool_at_rest" => Rest, "dam_release" => Dam; }
+
 impl Exact {
-    /// All problems.
-    pub const ALL: [Exact; 3] = [Exact::Block, Exact::Rest, Exact::Dam];
-
-    /// Name in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Exact::Block => "elastic_block",
-            Exact::Rest => "pool_at_rest",
-            Exact::Dam => "dam_release",
-        }
-    }
-
     /// Its scene; `cells` along 1 m: a multiple of 10.
     ///
     /// # Errors

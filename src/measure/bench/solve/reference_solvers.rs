@@ -9,7 +9,7 @@ use crate::reference::{
     Blocks, Correction, CoupledSystem, Formulation, LinearSystem, PressureSystem, SIGMA,
     SolidSolver, TwoField, part_left, refine_parts, solve_coupled, solve_iterative,
 };
-use crate::scene::Solver;
+use crate::scene::{Solver, names};
 use crate::state::SolveReport;
 
 /// Residual reduction of (5.25) before the residuals of (5.17) are evaluated: pressures contribute little to its own.
@@ -30,16 +30,7 @@ pub enum ReferenceSolver {
     Multigrid,
 }
 
-impl ReferenceSolver {
-    /// Name in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            ReferenceSolver::IncompleteCholesky => "ic0_cg",
-            ReferenceSolver::Cholesky => "cholesky",
-            ReferenceSolver::Multigrid => "multigrid_cg",
-        }
-    }
-}
+names! { ReferenceSolver: "ic0_cg" => IncompleteCholesky, "cholesky" => Cholesky, "multigrid_cg" => Multigrid; }
 
 /// An assembled system: B, and with solids S and J. The time of a solver includes its factors and hierarchies.
 #[derive(Clone, Copy)]

@@ -9,7 +9,7 @@ use super::completed;
 use crate::Error;
 use crate::measure::bench::table::Row;
 use crate::output::write_atomically;
-use crate::scene::{Part, Scene, from_toml, merge};
+use crate::scene::{Part, Scene, from_toml, merge, names};
 
 /// Length of the beam of scenes/stability.toml, m.
 pub(super) const BEAM: f64 = 0.8;
@@ -50,17 +50,11 @@ pub enum Expected {
     StaysStiff,
 }
 
-impl Expected {
-    /// Name in tables.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Expected::Completes => "completes",
-            Expected::Fails => "fails",
-            Expected::PushedAway => "is pushed away",
-            Expected::StaysStiff => "stays stiff",
-        }
-    }
+names! {
+    Expected: "completes" => Completes, "fails" => Fails, "is pushed away" => PushedAway, "stays stiff" => StaysStiff;
+}
 
+impl Expected {
     /// Whether the row shows it.
     pub fn holds(self, row: &Row) -> bool {
         let completed = completed(row);
