@@ -13,7 +13,7 @@ use cutwater::scene::{Precision, Scene, Solver};
 use cutwater::sim::Plan;
 
 use crate::bench::{assert_spread, counted, numbers, row, settings};
-use crate::common::gpu;
+use crate::common::{assert_has, gpu};
 
 fn at_scale(file: &Path, scale: f64) -> Case {
     Case::new(Scene::load(file, &[], scale).unwrap(), 1.0).unwrap()
@@ -82,10 +82,7 @@ fn tables_are_complete() {
     let (told, kept) = again(3, true).unwrap();
     assert_eq!((told, kept.rows("step")), (0, results.rows("step")));
     let refused = again(2, true).unwrap_err().to_string();
-    assert!(
-        refused.contains("request") && refused.contains("--resume"),
-        "{refused}"
-    );
+    assert_has(&refused, &["request", "--resume"]);
     assert!(again(2, false).unwrap().0 > 0);
 }
 

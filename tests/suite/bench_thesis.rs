@@ -19,7 +19,7 @@ use cutwater::sim::{Plan, solids_of};
 use cutwater::state::State;
 
 use crate::bench::{assert_spread, measured, numbers, row, settings};
-use crate::common::gpu;
+use crate::common::{assert_has, gpu};
 
 fn options(grids: &[usize]) -> Options {
     Options {
@@ -457,10 +457,7 @@ fn systems_of_the_dam_break_are_measured() {
     let error = resumed(&mut |_| ()).unwrap_err();
     let told = error.to_string();
     assert_eq!(error.exit_code(), 2);
-    assert!(
-        told.contains("another ") && told.contains("--resume"),
-        "{told}"
-    );
+    assert_has(&told, &["another ", "--resume"]);
 }
 
 fn derived(table: &str, rows: &[Row], name: &str) -> Vec<Row> {

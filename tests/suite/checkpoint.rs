@@ -18,7 +18,7 @@ use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
 use zip::{ZipArchive, ZipWriter};
 
-use crate::common::{Random, gpu, scene_from as scene};
+use crate::common::{Random, assert_has, gpu, scene_from as scene};
 use crate::kills::{Run, assert_same, contents};
 use crate::output::python;
 
@@ -612,10 +612,7 @@ fn a_run_is_extended() {
         run.command("part", &format!("--frames 7 {every} --resume")),
         2,
     );
-    assert!(
-        told.contains("10 frames") && told.contains("--frames"),
-        "{told}"
-    );
+    assert_has(&told, &["10 frames", "--frames"]);
 }
 
 /// A run that was killed before its first checkpoint begins again, as does one that is not there.
@@ -727,10 +724,7 @@ fn a_lost_manifest_does_not_lose_the_run() {
         }
         for how in ["", "--overwrite"] {
             let told = complains(run.command("out", how), 2);
-            assert!(
-                told.contains("earlier run") && told.contains("manifest.json"),
-                "{told}"
-            );
+            assert_has(&told, &["earlier run", "manifest.json"]);
             // No cure that is refused, too.
             let (_, cure) = told.split_once("cure: ").unwrap();
             assert!(
@@ -753,10 +747,7 @@ fn a_folder_that_was_half_cleared_is_none_of_a_whole_run() {
     // The last of what is removed cannot be.
     fs::create_dir_all(path.join("preview/dam_1.png/held")).unwrap();
     let told = complains(run.command("out", "--overwrite"), 2);
-    assert!(
-        told.contains("cannot write") && told.contains("dam_1.png"),
-        "{told}"
-    );
+    assert_has(&told, &["cannot write", "dam_1.png"]);
     assert!(!path.join("frames").exists() && !Checkpoint::path(&path).exists());
     assert!(progress(&path).frames_written.is_empty());
     fs::remove_dir_all(path.join("preview")).unwrap();
@@ -916,10 +907,7 @@ fn folders_that_cannot_be_written_are_told_before_anything_is_lost() {
         for place in &places {
             let told = complains(run.command(place, more), 2);
             let said = format!("cannot write {place}");
-            assert!(
-                told.contains(&said) && told.contains("cure: choose"),
-                "{told}"
-            );
+            assert_has(&told, &[&said, "cure: choose"]);
         }
     }
     // A folder in the way of a file: the checkpoint before stays.

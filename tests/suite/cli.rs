@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::common::{gpu, json, program};
+use crate::common::{assert_has, gpu, json, program};
 
 pub(crate) const DAM: &str = r#"# A small dam break.
 [domain]
@@ -245,17 +245,11 @@ fn a_broken_scene_is_bad_input_with_file_line_key_and_cure() {
             message.starts_with(&format!("error: dam.toml:{line}: {key}")),
             "{message}"
         );
-        assert!(
-            message.contains("cure: ") && message.contains(cure),
-            "{message}"
-        );
+        assert_has(&message, &["cure: ", cure]);
         assert!(!folder.path().join("out").exists(), "a run was begun");
     }
     let message = complains(&folder(DAM), "run dam.toml --set liquid.densty=1", 2);
-    assert!(
-        message.contains("liquid.densty") && message.contains("density"),
-        "{message}"
-    );
+    assert_has(&message, &["liquid.densty", "density"]);
 }
 
 #[test]
@@ -348,10 +342,7 @@ fn an_earlier_run_is_replaced_only_when_asked() {
         "run dam.toml --backend cpu --frames 1 --scale 0.5",
         2,
     );
-    assert!(
-        message.contains("--overwrite") && message.contains("--out"),
-        "{message}"
-    );
+    assert_has(&message, &["--overwrite", "--out"]);
     assert!(!message.contains("partial results"), "{message}");
     assert_eq!(fs::read(run.join("steps.csv")).unwrap(), before);
     says(
@@ -382,10 +373,7 @@ fn files_of_no_run_are_left_alone() {
                 &format!("run dam.toml --backend cpu --frames 1 {how}"),
                 2,
             );
-            assert!(
-                message.contains(name) && message.contains("--out"),
-                "{message}"
-            );
+            assert_has(&message, &[name, "--out"]);
         }
         assert_eq!(fs::read_to_string(out.join(name)).unwrap(), "mine");
     }
@@ -414,16 +402,10 @@ fn what_has_no_cell_is_refused_in_its_line() {
     let tap = "[[sink]]\nbox = { min = [0.1, 0.1, 0.1], max = [0.101, 0.101, 0.101] }\n";
     let folder = folder(&format!("{DAM}{tap}"));
     let message = complains(&folder, "plan dam.toml", 2);
-    assert!(
-        message.contains("dam.toml:14: sink[0]: no cell of"),
-        "{message}"
-    );
+    assert_has(&message, &["dam.toml:14: sink[0]: no cell of"]);
     let moved = "plan dam.toml --set sink[0]={box={min=[0,0,0],max=[1e-3,1e-3,1e-3]}}";
     let message = complains(&folder, moved, 2);
-    assert!(
-        message.contains("--set sink[0]=") && message.contains(": sink[0]: no cell of"),
-        "{message}"
-    );
+    assert_has(&message, &["--set sink[0]=", ": sink[0]: no cell of"]);
 }
 
 #[test]
@@ -448,10 +430,7 @@ fn runs_and_plans_warn_of_what_they_cannot_do() {
     }
     assert!(!told.contains("missed the tolerance"), "{told}");
     let told = text(&ends(cutwater(&folder, "plan dam.toml"), 0).stderr);
-    assert!(
-        told.contains("probe \"blind\" lies in an obstacle"),
-        "{told}"
-    );
+    assert_has(&told, &["probe \"blind\" lies in an obstacle"]);
 }
 
 #[test]
@@ -491,10 +470,7 @@ fn a_frame_whose_files_are_gone_is_missed() {
     let output = ends(cutwater(&folder, "preview out/dam"), 0);
     assert!(text(&output.stdout).contains("2 pictures"));
     let told = text(&output.stderr);
-    assert!(
-        told.contains("1 frames have no picture, frame 1 first"),
-        "{told}"
-    );
+    assert_has(&told, &["1 frames have no picture, frame 1 first"]);
     // A manifest that asks for more than a picture can be is refused, not tried.
     let path = folder.path().join("out/dam/manifest.json");
     let manifest = fs::read_to_string(&path).unwrap();
@@ -502,10 +478,7 @@ fn a_frame_whose_files_are_gone_is_missed() {
     manifest["camera"]["size"] = serde_json::json!([1_000_000, 1_000_000]);
     fs::write(&path, manifest.to_string()).unwrap();
     let message = complains(&folder, "preview out/dam", 2);
-    assert!(
-        message.contains("manifest.json") && message.contains("16 to 8192"),
-        "{message}"
-    );
+    assert_has(&message, &["manifest.json", "16 to 8192"]);
 }
 
 #[test]
@@ -527,10 +500,7 @@ fn a_run_on_the_gpu_names_its_adapter() {
     ] {
         let arguments = format!("run dam.toml --adapter {wanted} --out other");
         let message = complains(&folder, &arguments, 3);
-        assert!(
-            message.contains(told) && message.contains(&gpu.report().name),
-            "{message}"
-        );
+        assert_has(&message, &[told, &gpu.report().name]);
     }
     // Before the fields of the block are made, 50 GB of them.
     let message = complains(&folder, "bench solve --grids 8,1024", 3);
@@ -545,10 +515,7 @@ fn cures_are_options_of_the_command() {
     // Face velocities take 0.3 GB, more than software drivers bind.
     let message = complains(&folder, "bench step dam.toml --scale 20", 3);
     let cure = "cure: use fewer cells (--scale) or coarser meshes of the solids, or another adapter (--adapter)";
-    assert!(
-        message.contains("buffer") && message.contains(cure),
-        "{message}"
-    );
+    assert_has(&message, &["buffer", cure]);
 }
 
 /// Before anything of the grid's size is allocated.
@@ -559,10 +526,7 @@ fn what_no_machine_has_room_for_is_refused_at_once() {
     let cube = "--set domain.size=[1,1,1] --set domain.cells=[4096,4096,4096]";
     for command in ["run", "plan", "run --backend cpu"] {
         let message = complains(&folder, &format!("{command} dam.toml {cube}"), 2);
-        assert!(
-            message.contains("domain.cells") && message.contains("use fewer cells"),
-            "{message}"
-        );
+        assert_has(&message, &["domain.cells", "use fewer cells"]);
     }
     if gpu().is_some() {
         let done = ends(cutwater(&folder, "plan dam.toml --scale 64"), 3);
@@ -624,10 +588,7 @@ fn without_an_adapter_the_cure_is_named() {
             .env("VK_DRIVER_FILES", "nowhere.json")
             .env_remove("VK_ICD_FILENAMES");
         let message = text(&ends(command, 3).stderr);
-        assert!(
-            message.contains("mesa-vulkan-drivers") && message.contains("--backend cpu"),
-            "{message}"
-        );
+        assert_has(&message, &["mesa-vulkan-drivers", "--backend cpu"]);
     }
     assert!(
         !folder.path().join("new/manifest.json").exists(),
@@ -646,10 +607,7 @@ fn overwriting_removes_a_run_and_nothing_else() {
     fs::write(run.join("frames/mine.txt"), "mine").unwrap();
     let again = "run dam.toml --backend cpu --overwrite --frames 1";
     let message = complains(&folder, again, 2);
-    assert!(
-        message.contains("manifest.json") && message.contains("--out"),
-        "{message}"
-    );
+    assert_has(&message, &["manifest.json", "--out"]);
     assert!(run.join("frames/mine.txt").exists());
     fs::remove_dir_all(&run).unwrap();
     says(&folder, "run dam.toml --backend cpu --frames 3");
@@ -740,14 +698,8 @@ fn what_is_too_thin_for_the_cells_is_told_in_the_words_of_the_scene() {
     );
     let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
     let both = told(&(BEAM.to_owned() + region));
-    assert!(
-        both.contains("0.32 cells thick: liquid leaks and solids pass"),
-        "{both}"
-    );
-    assert!(
-        both.contains("solid \"beam\" is 0.40 cells thick: liquid leaks"),
-        "{both}"
-    );
+    assert_has(&both, &["0.32 cells thick: liquid leaks and solids pass"]);
+    assert_has(&both, &["solid \"beam\" is 0.40 cells thick: liquid leaks"]);
 }
 
 #[test]
@@ -783,9 +735,9 @@ fn a_fixed_step_too_long_is_told() {
     let folder = folder(DAM);
     let fast = "run dam.toml --backend cpu --frames 1 --set liquid.region[0].velocity=[12,0,0] --set time.fixed_step=0.041666666666666664";
     let told = String::from_utf8(ends(cutwater(&folder, fast), 0).stderr).unwrap();
-    assert!(
-        told.contains("in 1 of 1 sub-steps the fastest point crossed more than 3 cells"),
-        "{told}"
+    assert_has(
+        &told,
+        &["in 1 of 1 sub-steps the fastest point crossed more than 3 cells"],
     );
     assert_eq!(
         column(&folder.path().join("out/dam/steps.csv"), "dt_floored"),
@@ -828,9 +780,9 @@ fn lines_without_room_are_told_at_the_end() {
         let mut command = cutwater(&folder, arguments);
         command.stdout(full);
         let message = text(&ends(command, 2).stderr);
-        assert!(
-            message.contains("error: cannot write standard output: ") && message.contains("cure: "),
-            "{arguments}: {message}"
+        assert_has(
+            &message,
+            &["error: cannot write standard output: ", "cure: "],
         );
     }
     let manifest = manifest(&folder.path().join("out/dam"));
@@ -956,9 +908,9 @@ fn a_file_size_limit_is_told() {
         .args(["run", "dam.toml", "--backend", "cpu"])
         .current_dir(folder.path());
     let message = text(&ends(command, 2).stderr);
-    assert!(
-        message.contains("error: cannot write out/dam/") && message.contains("ulimit -f unlimited"),
-        "{message}"
+    assert_has(
+        &message,
+        &["error: cannot write out/dam/", "ulimit -f unlimited"],
     );
 }
 

@@ -76,6 +76,14 @@ pub(crate) fn program() -> Command {
     command
 }
 
+/// A text has all these words.
+#[track_caller]
+pub(crate) fn assert_has(text: &str, words: &[&str]) {
+    for word in words {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+}
+
 /// A scene of `scenes/`.
 pub(crate) fn project_scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
     let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();

@@ -11,7 +11,7 @@ use cutwater::sim::Backend;
 use serde_json::Value;
 
 use crate::cli::list;
-use crate::common::{gpu, json, project_scene as scene};
+use crate::common::{assert_has, gpu, json, project_scene as scene};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of};
 
@@ -146,10 +146,7 @@ fn a_sub_step_after_the_end_is_refused() {
             out: folder.path().join("system"),
         };
         let refused = export(&scene, &options).unwrap_err().to_string();
-        assert!(
-            refused.contains("--step 1000") && refused.contains("the scene is over after"),
-            "{refused}"
-        );
+        assert_has(&refused, &["--step 1000", "the scene is over after"]);
         assert!(!options.out.exists());
     }
 }

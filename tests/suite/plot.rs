@@ -6,6 +6,8 @@ use std::path::Path;
 use cutwater::output::plot::{plot, plot_probes, with_sweeps};
 use cutwater::output::report::{Contents, report};
 
+use crate::common::assert_has;
+
 fn run(dir: &Path, factor: f64) {
     fs::create_dir_all(dir).unwrap();
     let mut steps =
@@ -95,10 +97,7 @@ fn what_is_no_run_is_refused() {
         let error = plot(std::slice::from_ref(&broken), &out).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let message = error.to_string();
-        assert!(
-            message.contains("steps.csv") && message.contains(told),
-            "{message}"
-        );
+        assert_has(&message, &["steps.csv", told]);
     }
     assert!(
         !out.exists(),

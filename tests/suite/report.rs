@@ -10,6 +10,8 @@ use cutwater::output::manifest::{Manifest, RunOptions};
 use cutwater::output::report::{Contents, PAGE, report};
 use cutwater::scene::Scene;
 
+use crate::common::assert_has;
+
 /// A PNG file of one pixel, an animation where it is to be several greys.
 fn picture(greys: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -163,8 +165,5 @@ fn a_run_before_its_first_sub_step_has_no_columns() {
     manifest.progress.steps = 1;
     manifest.write(run).unwrap();
     let error = report(run).unwrap_err().to_string();
-    assert!(
-        error.contains("steps.csv: cannot be read: it is empty"),
-        "{error}"
-    );
+    assert_has(&error, &["steps.csv: cannot be read: it is empty"]);
 }

@@ -7,6 +7,8 @@ use std::path::Path;
 use cutwater::gpu::Surroundings;
 use tempfile::TempDir;
 
+use crate::common::assert_has;
+
 /// A system: files below its root with their text, and variables.
 struct System<'a> {
     files: &'a [(&'a str, &'a str)],
@@ -197,8 +199,5 @@ fn facts_say_what_there_is() {
     }
     .look();
     let facts = none.facts().join("\n");
-    assert!(
-        facts.contains("not found") && facts.contains("none found") && facts.contains("none"),
-        "{facts}"
-    );
+    assert_has(&facts, &["not found", "none found", "none"]);
 }

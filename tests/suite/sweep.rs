@@ -9,7 +9,7 @@ use cutwater::measure::sweep::{Axis, Options, Shard, Sweep};
 use tempfile::TempDir;
 
 use crate::cli::{DAM, complains, cutwater, ends, folder, list, manifest, says, text};
-use crate::common::json;
+use crate::common::{assert_has, json};
 
 /// Two frames of a small dam break, on the f64 path.
 const SWEEP: &str = "sweep dam.toml --backend cpu --scale 0.5 --frames 1";
@@ -56,10 +56,7 @@ fn settings_are_read_with_their_brackets_and_quotes() {
         ("a=\"x", "do not match"),
     ] {
         let message = setting.parse::<Axis>().unwrap_err().to_string();
-        assert!(
-            message.contains(told) && message.contains("cure: "),
-            "{setting}: {message}"
-        );
+        assert_has(&message, &[told, "cure: "]);
     }
     assert_eq!("2/3".parse::<Shard>(), Ok(Shard { index: 2, count: 3 }));
     for shard in ["0/3", "4/3", "1", "1/0", "a/b", "-1/2", "1/2/3"] {
@@ -218,10 +215,7 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
     );
     let run = out.join(names[0]);
     let log = fs::read_to_string(run.join("log.txt")).unwrap();
-    assert!(
-        log.contains("\"run\"") && log.contains("frame 1 of 1"),
-        "{log}"
-    );
+    assert_has(&log, &["\"run\"", "frame 1 of 1"]);
     assert_eq!(manifest(&run)["progress"]["status"], "finished");
 
     // Again: what is finished stays as it is, what is not is tried again.
@@ -253,9 +247,9 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
     )
     .unwrap();
     let status = says(&folder, &format!("{good} --list"));
-    assert!(
-        status.contains("missing    max=0.5,0.75,0.5_cfl=3\nbroken_off max=0.5,0.75,0.5_cfl=4\n"),
-        "{status}"
+    assert_has(
+        &status,
+        &["missing    max=0.5,0.75,0.5_cfl=3\nbroken_off max=0.5,0.75,0.5_cfl=4\n"],
     );
     assert_eq!(column(&summary, "status"), ["missing", "broken_off"]);
     says(&folder, &good);
@@ -353,14 +347,11 @@ fn two_sweeps_at_once_do_not_meet() {
     lock.lock().unwrap();
     let done = ends(cutwater(&folder, &format!("{SWEEP} --set time.cfl=3,4")), 1);
     let (said, told) = (text(&done.stdout), text(&done.stderr));
-    assert!(
-        said.contains("cfl=3: running in another process") && said.contains("cfl=4: finished"),
-        "{said}"
+    assert_has(
+        &said,
+        &["cfl=3: running in another process", "cfl=4: finished"],
     );
-    assert!(
-        told.contains("1 of 2 runs did not finish: cfl=3 (running)"),
-        "{told}"
-    );
+    assert_has(&told, &["1 of 2 runs did not finish: cfl=3 (running)"]);
     drop(lock);
     says(&folder, &format!("{SWEEP} --set time.cfl=3,4"));
 }
