@@ -145,7 +145,7 @@ effects! {
             (_, true) => "[[solid]] and [[obstacle]] with keyframes",
         }
         .to_owned();
-    /// Contact of solids with each other: rows of all contacts in the solve of the solids, on the f64 path.
+    /// Contact of solids with each other: rows of all contacts in the solve of the solids.
     solid_contact: |scene, effects| effects.solids && scene.solver.solid_contact,
         |scene, effects| match (effects.solids, scene.solver.solid_contact) {
             (false, _) => "there are no solids",

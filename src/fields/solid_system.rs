@@ -208,6 +208,8 @@ arrays! {
             /// Scalar types: `real` of outer loop and conjugate gradients, `inner` of the preconditioner.
             pub variant: Variant,
             pub(crate) sizes: Rows,
+            /// Whether walls, obstacles and solids are rows of one problem on the host, and none holds nodes here.
+            pub(crate) rows_on_host: bool,
             pub(crate) layout: SolidRows,
             /// The system on the host, where the device rounds the residual.
             pub(crate) to_host: Option<Mutex<SolidReadbacks>>,
@@ -272,7 +274,14 @@ impl SolidSystemBuffers {
         let to_host = (variant.real == Real::F32)
             .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
             .transpose()?;
-        let buffers = SolidSystemBuffers::allocate(gpu, variant, sizes, layout.clone(), to_host)?;
+        let buffers = SolidSystemBuffers::allocate(
+            gpu,
+            variant,
+            sizes,
+            solver.solid_contact,
+            layout.clone(),
+            to_host,
+        )?;
         let mut args = Vec::new();
         for n in [sizes.n_nodes.div_ceil(WG_SIZE), sizes.n_bodies] {
             args.extend(groups(n));

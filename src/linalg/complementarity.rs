@@ -2,7 +2,7 @@
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::{factor, solve};
-use faer::{Mat, Par};
+use faer::{Mat, MatMut, Par};
 
 /// Full exchanges without fewer wrong unknowns before single ones.
 const PATIENCE: u32 = 5;
@@ -70,27 +70,44 @@ pub fn complementarity(matrix: impl Fn(usize, usize) -> f64, q: &[f64]) -> Compl
 /// z with W z + q = 0 where `held`, else 0.
 fn held_solution(matrix: &impl Fn(usize, usize) -> f64, q: &[f64], held: &[bool]) -> Vec<f64> {
     let rows: Vec<usize> = (0..q.len()).filter(|&i| held[i]).collect();
-    let n = rows.len();
     let mut z = vec![0.0; q.len()];
-    let mut w = Mat::from_fn(n, n, |i, j| matrix(rows[i], rows[j]));
-    let mut x = Mat::from_fn(n, 1, |i, _| -q[rows[i]]);
-    // One thread: results must not depend on their number.
-    let scratch = factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default());
-    let mut memory = MemBuffer::new(scratch);
-    let stack = MemStack::new(&mut memory);
-    let factor = factor::cholesky_in_place(
-        w.as_mut(),
-        Default::default(),
-        Par::Seq,
-        stack,
-        Default::default(),
-    );
     // Without a factor the rows are dependent to rounding; the caller's diagonal prevents that.
-    if factor.is_ok() {
-        solve::solve_in_place(w.as_ref(), x.as_mut(), Par::Seq, stack);
-        for (i, &row) in rows.iter().enumerate() {
-            z[row] = x[(i, 0)];
-        }
+    if let Some(factor) = DenseCholesky::new(rows.len(), |i, j| matrix(rows[i], rows[j])) {
+        let mut x: Vec<f64> = rows.iter().map(|&row| -q[row]).collect();
+        factor.solve(&mut x);
+        rows.iter().zip(x).for_each(|(&row, x)| z[row] = x);
     }
     z
+}
+
+/// Factor of a small dense matrix. One thread: results must not depend on their number.
+#[derive(Clone, Debug)]
+pub struct DenseCholesky(Mat<f64>);
+
+impl DenseCholesky {
+    /// Factorises an n x n matrix; `None` where it is not positive definite.
+    pub fn new(n: usize, entry: impl Fn(usize, usize) -> f64) -> Option<DenseCholesky> {
+        let mut matrix = Mat::from_fn(n, n, entry);
+        let scratch = factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default());
+        let factor = factor::cholesky_in_place(
+            matrix.as_mut(),
+            Default::default(),
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(scratch)),
+            Default::default(),
+        );
+        factor.ok().map(|_| DenseCholesky(matrix))
+    }
+
+    /// Solves A x = b in place.
+    pub fn solve(&self, x: &mut [f64]) {
+        let n = x.len();
+        let scratch = solve::solve_in_place_scratch::<f64>(n, 1, Par::Seq);
+        solve::solve_in_place(
+            self.0.as_ref(),
+            MatMut::from_column_major_slice_mut(x, n, 1),
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(scratch)),
+        );
+    }
 }

@@ -1,5 +1,5 @@
 //! Linear algebra in f64 on the CPU: sparse matrices, Cholesky, incomplete factors, Krylov methods, extreme eigenvalues,
-//! complementarity problems, Matrix Market. The only room that uses faer.
+//! complementarity problems, unilateral rows, Matrix Market. The only room that uses faer.
 
 mod cholesky;
 mod complementarity;
@@ -9,9 +9,10 @@ mod eigenvalues;
 mod incomplete;
 mod matrix_market;
 mod minimal_residual;
+mod unilateral;
 
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
-pub use complementarity::{Complementarity, complementarity};
+pub use complementarity::{Complementarity, DenseCholesky, complementarity};
 pub use conjugate_gradient::{
     CgEnd, CgReport, LinearOperator, conjugate_gradient, conjugate_gradient_with_test,
     stabilised_biconjugate_gradient,
@@ -23,6 +24,7 @@ pub use eigenvalues::{
 pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 pub use minimal_residual::minimal_residual;
+pub use unilateral::{HeldRows, Row, RowSearch, UnilateralRows};
 
 /// Euclidean norm, summed in order, independent of the number of threads.
 pub fn norm(x: &[f64]) -> f64 {

@@ -5,18 +5,23 @@
 //! lambda with 0 <= lambda, complementary to G v - r, and lambda solves the complementarity problem of G S^-1 G^T, dense and
 //! small. S^-1 G^T is computed by the factor of S.
 //!
+//! In liquid F has J^T p, which depends on v. The rows to hold are first those of this problem at the pressure without rows. Then each solve
+//! for pressures and velocities has the held rows as equations, and the wrong ones are exchanged.
+//!
 //! Where bodies overlap, r = 0 instead of -gap / dt: the velocity does not push them out, so that v = 0 remains admissible and
 //! phi, which is 0 at rest, does not grow. Walls and obstacles push nodes out, as they do without contact of solids.
 
 use glam::DVec3;
 
+use super::coupled_system::CoupledSystem;
 use super::solid_contacts::Contacts;
 use super::solid_system::SolidSystem;
+use super::solve_coupled::{CoupledSolution, Together};
 use super::solve_solid::SolidSolver;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::contact_pairs;
-use crate::linalg::complementarity;
+use crate::linalg::{Row, RowSearch, UnilateralRows};
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport};
 
@@ -24,112 +29,147 @@ use crate::state::{ContactReport, SolveReport};
 const REACH: f64 = 2.0;
 /// And at least this, in cells.
 const LEAST_REACH: f64 = 0.05;
-/// Relative increase of the diagonal of G S^-1 G^T: redundant rows share their force.
-const COMPLIANCE: f64 = 1e-11;
+/// Largest number of coupled solves of a sub-step.
+pub const MOST_COUPLED: u32 = 12;
 
-/// A unilateral row: sum of n_i . v_i over nodes >= least.
-#[derive(Clone, Debug)]
-pub(super) struct Row {
-    pub(super) nodes: Vec<(usize, DVec3)>,
-    /// m/s
-    pub(super) least: f64,
+/// The bodies and surfaces that may touch in a sub-step.
+#[derive(Clone, Copy, Debug)]
+pub struct Touching<'a> {
+    /// Bodies.
+    pub solids: &'a Solids,
+    /// Walls and obstacles.
+    pub contacts: &'a Contacts,
+    /// Positions of all nodes, m.
+    pub positions: &'a [DVec3],
+    /// Length of the sub-step, s.
+    pub dt: f64,
+    /// A cell, m.
+    pub dx: f64,
 }
 
-impl Row {
-    fn product(&self, v: &[f64]) -> f64 {
-        let nodes = self.nodes.iter();
-        nodes
-            .map(|(node, n)| n.dot(DVec3::from_slice(&v[3 * node..])))
-            .sum()
+impl Touching<'_> {
+    /// The rows of all contacts in reach of nodes with these velocities, m/s, three numbers per node; `None` where the velocities meet them.
+    pub fn rows(&self, velocity: &[f64]) -> Option<Vec<Row>> {
+        let (nodes, _) = velocity.as_chunks::<3>();
+        let speeds = nodes.iter().map(|v| DVec3::from(*v).length());
+        let reach = (REACH * self.dt * speeds.fold(0.0, f64::max)).max(LEAST_REACH * self.dx);
+        let mut rows = self.contacts.rows(reach);
+        let Solids {
+            bodies, triangles, ..
+        } = self.solids;
+        let bodies: Vec<_> = bodies.iter().map(|body| body.triangles.clone()).collect();
+        for pair in contact_pairs(self.positions, triangles, &bodies, reach) {
+            let points = pair.points.iter();
+            let entries = points.flat_map(|&(node, weight)| {
+                let n = (weight * pair.normal).to_array().into_iter().enumerate();
+                n.map(move |(axis, n)| (3 * node as usize + axis, n))
+            });
+            rows.push(Row {
+                entries: entries.collect(),
+                least: -pair.gap.max(0.0) / self.dt,
+            });
+        }
+        let met = rows.iter().all(|row| row.slack(velocity) >= 0.0);
+        (!met).then_some(rows)
     }
 }
 
-/// Velocities of all nodes (m/s) under the rows of `contacts` and of the bodies with each other. `system` without
-/// constraints of contact, afterwards with the contact forces; `positions` in m, `dx` a cell.
+/// X and W of rows; `None` where S has no factor in f64.
+///
+/// # Errors
+/// When the factor does not fit into memory.
+fn unilateral(
+    solver: &SolidSolver,
+    system: &SolidSystem,
+    rows: Vec<Row>,
+) -> Result<Option<UnilateralRows>, Error> {
+    let Some(factor) = solver.factorise(system)? else {
+        return Ok(None);
+    };
+    let components = system.components();
+    let n = system.rhs.len();
+    let solve = |force: Vec<f64>| {
+        let mut x: Vec<f64> = components.iter().map(|&at| force[at]).collect();
+        factor.solve(&mut x);
+        let mut full = vec![0.0; n];
+        components.iter().zip(x).for_each(|(&at, x)| full[at] = x);
+        full
+    };
+    Ok(Some(UnilateralRows::new(rows, n, solve)))
+}
+
+/// Velocities of all nodes (m/s) under the rows of `touching`. `system` without constraints of contact, afterwards with the contact forces.
 ///
 /// # Errors
 /// When the factor does not fit into memory.
 pub(super) fn solve_in_rows(
     solver: &SolidSolver,
-    (solids, system): (&Solids, &mut SolidSystem),
-    (contacts, positions): (&Contacts, &[DVec3]),
-    dx: f64,
+    system: &mut SolidSystem,
+    touching: Touching,
     settings: &Solver,
 ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
-    let (free, report) = solver.solve(solids, system, settings)?;
-    let dt = system.dt();
-    let speeds = free.iter().map(|v| DVec3::from(*v).length());
-    let reach = (REACH * dt * speeds.fold(0.0, f64::max)).max(LEAST_REACH * dx);
-    let mut rows = contacts.rows(reach);
-    let bodies: Vec<_> = (solids.bodies.iter())
-        .map(|body| body.triangles.clone())
-        .collect();
-    for pair in contact_pairs(positions, &solids.triangles, &bodies, reach) {
-        let nodes = pair.points.iter();
-        rows.push(Row {
-            nodes: nodes
-                .map(|&(node, weight)| (node as usize, weight * pair.normal))
-                .collect(),
-            least: -pair.gap.max(0.0) / dt,
-        });
-    }
+    let (free, report) = solver.solve(touching.solids, system, settings)?;
     let none = ContactReport {
         solves: 1,
         unsettled: 0,
     };
-    let flat = free.as_flattened();
-    if rows.iter().all(|row| row.product(flat) >= row.least) {
-        return Ok((free, report, none));
-    }
-    let Some(factor) = solver.factorise(system)? else {
+    let Some(rows) = touching.rows(free.as_flattened()) else {
         return Ok((free, report, none));
     };
-    let components = system.components();
-    let mut column = vec![0.0; flat.len()];
-    let columns: Vec<Vec<f64>> = (rows.iter())
-        .map(|row| {
-            for &(node, n) in &row.nodes {
-                column[3 * node..3 * node + 3].copy_from_slice(&n.to_array());
-            }
-            let mut x: Vec<f64> = components.iter().map(|&at| column[at]).collect();
-            factor.solve(&mut x);
-            for &(node, _) in &row.nodes {
-                column[3 * node..3 * node + 3].fill(0.0);
-            }
-            let mut full = vec![0.0; flat.len()];
-            components.iter().zip(x).for_each(|(&at, x)| full[at] = x);
-            full
-        })
-        .collect();
-    let n = rows.len();
-    let mut matrix = vec![0.0; n * n];
-    for i in 0..n {
-        for j in 0..=i {
-            let entry = 0.5 * (rows[i].product(&columns[j]) + rows[j].product(&columns[i]));
-            (matrix[n * i + j], matrix[n * j + i]) = (entry, entry);
-        }
-        matrix[n * i + i] *= 1.0 + COMPLIANCE;
-    }
-    // Rows of prescribed components alone cannot be met.
-    let movable: Vec<usize> = (0..n).filter(|&i| matrix[n * i + i] > 0.0).collect();
-    let q: Vec<f64> = (movable.iter())
-        .map(|&i| rows[i].product(flat) - rows[i].least)
-        .collect();
-    let found = complementarity(|i, j| matrix[n * movable[i] + movable[j]], &q);
-    let mut forces = vec![0.0; flat.len()];
-    for (&i, lambda) in movable.iter().zip(&found.z) {
-        for &(node, n) in &rows[i].nodes {
-            for axis in 0..3 {
-                forces[3 * node + axis] += lambda * n[axis];
-            }
-        }
-    }
-    system.push(&forces);
-    let (velocity, mut under) = solver.solve(solids, system, settings)?;
+    let Some(rows) = unilateral(solver, system, rows)? else {
+        return Ok((free, report, none));
+    };
+    let found = rows.solve(free.as_flattened());
+    system.push(&rows.forces(&found.z));
+    let (velocity, mut under) = solver.solve(touching.solids, system, settings)?;
     under.iterations += report.iterations;
     let report = ContactReport {
         solves: found.pivots,
         unsettled: found.wrong,
     };
     Ok((velocity, under, report))
+}
+
+/// Pressures and velocities under the rows of `touching`; `together` without them. Returns the last system, with the contact forces, and its
+/// solution.
+///
+/// # Errors
+/// As those of the solves.
+pub(super) fn solve_coupled_in_rows(
+    mut together: Together,
+    solid: &SolidSystem,
+    touching: Touching,
+) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
+    let (system, solution) = together.solve(solid, None)?;
+    let mut report = ContactReport {
+        solves: 1,
+        unsettled: 0,
+    };
+    let found_all = solution.reports[0].status.is_best_attainable();
+    let rows = touching.rows(solution.velocity.as_flattened());
+    let Some(rows) = rows.filter(|_| found_all) else {
+        return Ok((system, solution, report));
+    };
+    let Some(rows) = unilateral(together.solver, solid, rows)? else {
+        return Ok((system, solution, report));
+    };
+    let mut search = RowSearch::new(&rows, solution.velocity.as_flattened());
+    let mut best = (system, solution);
+    while let Some(held) = rows.hold(search.held()) {
+        let (mut system, solution) = together.solve(solid, Some(&held))?;
+        report.solves += 1;
+        let v = solution.velocity.as_flattened();
+        // G_F S^-1 (F + J^T p - S v) is what the rows lack at this pressure.
+        let lambda = held.cancelling(&system.unbalanced(&solution));
+        system.push(&held.forces(&lambda));
+        let found_all = solution.reports[0].status.is_best_attainable();
+        let (wrong, exchanged) = search.exchange(&rows, &lambda, v);
+        report.unsettled = wrong as u32;
+        best = (system, solution);
+        if !exchanged || !found_all || report.solves == MOST_COUPLED {
+            break;
+        }
+    }
+    let (system, solution) = best;
+    Ok((system, solution, report))
 }

@@ -5,6 +5,7 @@ use glam::DVec3;
 use super::pressure_system::{PressureSystem, remove_means};
 use super::refine::{LinearSystem, Part};
 use super::solid_system::SolidSystem;
+use super::solve_coupled::CoupledSolution;
 use crate::geometry::{CellNode, Coupling};
 use crate::linalg::{Csr, LinearOperator, norm};
 
@@ -109,6 +110,25 @@ impl CoupledSystem {
         let velocity = self.solid.velocity(&x[self.n_cells()..]);
         x.truncate(self.n_cells());
         (x, velocity)
+    }
+
+    /// Adds forces on all nodes, N, three numbers per node.
+    pub(super) fn push(&mut self, forces: &[f64]) {
+        self.solid.push(forces);
+        let n_cells = self.n_cells();
+        self.rhs[n_cells..].copy_from_slice(&self.solid.rhs);
+    }
+
+    /// Residual of the nodes, -w - S v + J^T p, N, three numbers per node.
+    pub(super) fn unbalanced(&self, solution: &CoupledSolution) -> Vec<f64> {
+        let products = self.solid.multiply(&solution.velocity).into_iter();
+        let sums = products.zip(self.solid.forces());
+        let sums: Vec<[f64; 3]> = sums
+            .map(|(product, force)| (DVec3::from(*force) - product).to_array())
+            .collect();
+        let force = self.force(&solution.pressure);
+        let free = self.solid.free_part(&sums).into_iter();
+        free.zip(force).map(|(sum, force)| sum + force).collect()
     }
 
     /// The blocks as sparse matrices.

@@ -21,10 +21,10 @@
 use glam::{DMat3, DVec3};
 
 use super::SolidSystem;
-use super::contact_rows::Row;
 use super::sample::normal;
 use crate::elastic::Solids;
 use crate::geometry::ContactField;
+use crate::linalg::Row;
 use crate::state::ContactReport;
 
 /// Largest number of active-set iterations per sub-step, including the solve for a pressure that matches the final
@@ -251,24 +251,23 @@ impl Contacts {
     }
 
     /// The rows of all surfaces that nodes may reach within a distance, m.
-    pub(super) fn rows(&self, reach: f64) -> Vec<Row> {
+    pub fn rows(&self, reach: f64) -> Vec<Row> {
         let nodes = self.surfaces.iter().enumerate();
         let rows = nodes.flat_map(|(node, surfaces)| {
             let near = |surface: &&Surface| surface.gap <= reach;
-            surfaces
-                .iter()
-                .flatten()
-                .filter(near)
-                .map(move |surface| Row {
-                    nodes: vec![(node, surface.normal)],
+            surfaces.iter().flatten().filter(near).map(move |surface| {
+                let normal = surface.normal.to_array().into_iter().enumerate();
+                Row {
+                    entries: normal.map(|(axis, n)| (3 * node + axis, n)).collect(),
                     least: -surface.gap / self.dt,
-                })
+                }
+            })
         });
         rows.collect()
     }
 
     /// Without active surfaces.
-    pub(super) fn none_active(mut self) -> Contacts {
+    pub fn none_active(mut self) -> Contacts {
         for surface in self.surfaces.iter_mut().flatten().flatten() {
             surface.active = false;
         }

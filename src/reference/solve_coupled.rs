@@ -5,7 +5,7 @@ use super::active_cells::closed_components;
 use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
-use super::refine::{Correction, LinearSystem, refine_parts};
+use super::refine::{Correction, LinearSystem, Part, refine_parts};
 use super::separation::{Round, Separation};
 use super::solid_contacts::{ContactSearch, Contacts, MAX_SOLVES};
 use super::solid_system::SolidSystem;
@@ -16,7 +16,7 @@ use crate::Error;
 use crate::elastic::{Body, Solids};
 use crate::geometry::Coupling;
 use crate::linalg::{
-    CgEnd, CgReport, Cholesky, Csr, Incomplete, LinearOperator, SymbolicCholesky,
+    CgEnd, CgReport, Cholesky, Csr, HeldRows, Incomplete, LinearOperator, SymbolicCholesky,
     conjugate_gradient, minimal_residual, norm, stabilised_biconjugate_gradient,
 };
 use crate::scene::Solver;
@@ -246,35 +246,192 @@ pub fn solve_coupled(
                 iterated(blocks.scatter(&unknowns), report)
             })
         }
-        Formulation::Condensed => {
-            let Some(inverse) = Inverse::new(system, solver, solids)? else {
-                return corrected(&mut broken_down);
-            };
-            let condensed = CondensedOperator {
-                system,
-                inverse: &inverse,
-            };
-            let multigrid = Multigrid::new(&system.pressure.stencil);
-            corrected(&mut |residual, tolerance, left| {
-                let (pressure_rows, velocity_rows) = residual.split_at(system.n_cells());
-                // r_p + J S^-1 r_v over the scale of B; the residual of S v - J^T p = -w is -r_v.
-                let free = inverse.apply(velocity_rows);
-                let pairs = pressure_rows.iter().zip(system.flux(&free));
-                let rhs: Vec<f64> = pairs
-                    .map(|(r, flux)| (r - flux) / system.pressure.scale)
-                    .collect();
-                let mut x = vec![0.0; rhs.len()];
-                let most = left as usize;
-                let report =
-                    conjugate_gradient(&condensed, &multigrid, &rhs, &mut x, tolerance, most);
-                let mut force = system.force(&x);
-                for (force, r) in force.iter_mut().zip(velocity_rows) {
-                    *force += r;
-                }
-                x.extend(inverse.apply(&force));
-                iterated(x, report)
-            })
+        Formulation::Condensed => match Inverse::new(system, solver, solids)? {
+            None => corrected(&mut broken_down),
+            Some(inverse) => corrected(&mut condensed(system, &|y| inverse.apply(y))),
+        },
+    }
+}
+
+/// Corrections in the Schur-complement form; `inverse` is S^-1.
+fn condensed<'a>(
+    system: &'a CoupledSystem,
+    inverse: &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync),
+) -> impl FnMut(&[f64], f64, u32) -> Correction + 'a {
+    let operator = CondensedOperator { system, inverse };
+    let multigrid = Multigrid::new(&system.pressure.stencil);
+    move |residual, tolerance, left| {
+        let (pressure_rows, velocity_rows) = residual.split_at(system.n_cells());
+        // r_p + J S^-1 r_v over the scale of B; the residual of S v - J^T p = -w is -r_v.
+        let free = inverse(velocity_rows);
+        let pairs = pressure_rows.iter().zip(system.flux(&free));
+        let rhs: Vec<f64> = pairs
+            .map(|(r, flux)| (r - flux) / system.pressure.scale)
+            .collect();
+        let mut x = vec![0.0; rhs.len()];
+        let most = left as usize;
+        let report = conjugate_gradient(&operator, &multigrid, &rhs, &mut x, tolerance, most);
+        let mut force = system.force(&x);
+        for (force, r) in force.iter_mut().zip(velocity_rows) {
+            *force += r;
         }
+        x.extend(inverse(&force));
+        iterated(x, report)
+    }
+}
+
+/// A coupled system whose rows in F are equations G_F v = r_F. With v = c + x and c = X_F W_FF^-1 (r_F - G_F v_0), v_0 the prescribed velocities,
+/// x meets G_F x = 0. Residuals of the nodes are without the multiples of the rows, which the contact forces cancel.
+struct HeldSystem<'a> {
+    system: &'a CoupledSystem,
+    held: &'a HeldRows<'a>,
+    /// J c.
+    flux: Vec<f64>,
+    rhs: Vec<f64>,
+}
+
+impl LinearSystem for HeldSystem<'_> {
+    fn rhs(&self) -> &[f64] {
+        &self.rhs
+    }
+
+    fn rhs_scale(&self) -> f64 {
+        self.system.rhs_scale()
+    }
+
+    fn n_unknowns(&self) -> usize {
+        self.system.n_unknowns()
+    }
+
+    fn residual(&self, x: &[f64]) -> Vec<f64> {
+        let mut residual = self.system.residual(x);
+        let (cells, nodes) = residual.split_at_mut(self.system.n_cells());
+        let fluxes = cells.iter_mut().zip(&self.flux);
+        fluxes.for_each(|(r, flux)| *r -= flux);
+        let forces = self.held.forces(&self.held.cancelling(nodes));
+        let forces = self.system.solid.free_part(forces.as_chunks().0);
+        let sums = nodes.iter_mut().zip(forces);
+        sums.for_each(|(r, force)| *r += force);
+        residual
+    }
+
+    fn project(&self, x: &mut [f64]) {
+        self.system.project(x);
+    }
+
+    fn parts(&self, x: &[f64]) -> Vec<Part> {
+        self.system.parts(x)
+    }
+}
+
+/// Solves a coupled system with rows held as equations, in the Schur-complement form.
+///
+/// # Errors
+/// As [`solve_coupled`].
+fn solve_held(
+    system: &CoupledSystem,
+    held: &HeldRows,
+    solver: &SolidSolver,
+    solids: &Solids,
+    settings: &Solver,
+) -> Result<CoupledSolution, Error> {
+    let n_cells = system.n_cells();
+    let prescribed = system.solid.velocity(&vec![0.0; system.solid.rhs.len()]);
+    let mut shift = vec![0.0; system.solid.rhs.len()];
+    held.add_velocity(&held.meeting(prescribed.as_flattened()), &mut shift);
+    let mut held_system = HeldSystem {
+        system,
+        held,
+        flux: system.flux(&shift),
+        rhs: system.rhs().to_vec(),
+    };
+    let rhs = held_system.rhs[..n_cells].iter_mut();
+    rhs.zip(&held_system.flux)
+        .for_each(|(rhs, flux)| *rhs -= flux);
+    let (mut x, reports) = match Inverse::new(system, solver, solids)? {
+        None => refine_parts(&held_system, settings, broken_down),
+        Some(inverse) => {
+            let inverse = |y: &[f64]| {
+                let mut x = inverse.apply(y);
+                held.add_velocity(&held.cancelling(y), &mut x);
+                x
+            };
+            refine_parts(&held_system, settings, condensed(system, &inverse))
+        }
+    };
+    let velocities = x[n_cells..].iter_mut();
+    velocities.zip(&shift).for_each(|(x, shift)| *x += shift);
+    let (pressure, velocity) = system.split(x);
+    Ok(CoupledSolution {
+        pressure,
+        velocity,
+        reports: [reports[0], reports[1]],
+    })
+}
+
+/// The coupled solves of a sub-step.
+#[derive(Debug)]
+pub(super) struct Together<'a> {
+    /// All cells as unknowns, and those that may separate.
+    pub(super) pressure: &'a PressureSystem,
+    pub(super) separation: Option<&'a mut Separation>,
+    pub(super) coupling: &'a Coupling,
+    pub(super) solver: &'a SolidSolver,
+    pub(super) solids: &'a Solids,
+    pub(super) settings: &'a Solver,
+    /// Of all solves.
+    pub(super) iterations: u32,
+}
+
+impl Together<'_> {
+    /// Repeats a solve until the set of separated cells is unchanged, in the formulation of [`Formulation::of`] or with rows held. Iterations of
+    /// the reports are those of all solves so far.
+    ///
+    /// # Errors
+    /// As [`solve_coupled`].
+    pub(super) fn solve(
+        &mut self,
+        solid: &SolidSystem,
+        held: Option<&HeldRows>,
+    ) -> Result<(CoupledSystem, CoupledSolution), Error> {
+        let Together {
+            pressure,
+            separation,
+            coupling,
+            solver,
+            solids,
+            settings,
+            iterations,
+        } = self;
+        let mut solved = |pressure: PressureSystem| -> Result<_, Error> {
+            let system = CoupledSystem::new(pressure, solid.clone(), coupling);
+            let mut solution = match held {
+                None => {
+                    let formulation = Formulation::of(&system);
+                    solve_coupled(&system, formulation, solver, solids, settings)?
+                }
+                Some(held) => solve_held(&system, held, solver, solids, settings)?,
+            };
+            *iterations += solution.reports[0].iterations;
+            for report in &mut solution.reports {
+                report.iterations = *iterations;
+            }
+            Ok((system, solution))
+        };
+        let Some(separation) = separation else {
+            return solved((*pressure).clone());
+        };
+        let last = separation.search(pressure, settings.tolerance, |masked| {
+            let (system, solution) = solved(masked.clone())?;
+            let mut flux = vec![0.0; masked.rhs.len()];
+            coupling.add_product(solution.velocity.as_flattened(), &mut flux);
+            Ok(Round {
+                pressure: solution.pressure.clone(),
+                flux,
+                solution: (system, solution),
+            })
+        })?;
+        Ok(last.solution)
     }
 }
 
@@ -285,7 +442,7 @@ pub fn solve_coupled(
 /// # Errors
 /// As [`solve_coupled`].
 pub fn solve_coupled_in_contact(
-    (pressure, mut separation): (&PressureSystem, Option<&mut Separation>),
+    (pressure, separation): (&PressureSystem, Option<&mut Separation>),
     solid: &mut SolidSystem,
     coupling: &Coupling,
     contacts: &mut Contacts,
@@ -293,36 +450,18 @@ pub fn solve_coupled_in_contact(
     solids: &Solids,
     settings: &Solver,
 ) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
-    let mut iterations = 0;
-    let mut solved_with = |solid: &SolidSystem, pressure: PressureSystem| -> Result<_, Error> {
-        let system = CoupledSystem::new(pressure, solid.clone(), coupling);
-        let formulation = Formulation::of(&system);
-        let mut solution = solve_coupled(&system, formulation, solver, solids, settings)?;
-        iterations += solution.reports[0].iterations;
-        for report in &mut solution.reports {
-            report.iterations = iterations;
-        }
-        Ok((system, solution))
-    };
-    let mut solved = |solid: &SolidSystem| -> Result<_, Error> {
-        let Some(separation) = &mut separation else {
-            return solved_with(solid, pressure.clone());
-        };
-        let last = separation.search(pressure, settings.tolerance, |masked| {
-            let (system, solution) = solved_with(solid, masked.clone())?;
-            let mut flux = vec![0.0; masked.rhs.len()];
-            coupling.add_product(solution.velocity.as_flattened(), &mut flux);
-            Ok(Round {
-                pressure: solution.pressure.clone(),
-                flux,
-                solution: (system, solution),
-            })
-        })?;
-        Ok(last.solution)
+    let mut together = Together {
+        pressure,
+        separation,
+        coupling,
+        solver,
+        solids,
+        settings,
+        iterations: 0,
     };
     let mut search = ContactSearch::new(contacts, MAX_SOLVES - 1);
     loop {
-        let (system, solution) = solved(solid)?;
+        let (system, solution) = together.solve(solid, None)?;
         // Liquid forces press nodes to walls too.
         let mut pushed = solid.clone();
         let mut force = vec![0.0; pushed.rhs.len()];
@@ -341,7 +480,7 @@ pub fn solve_coupled_in_contact(
         }
         solid.free(search.hold(&mut iterate.velocity), &iterate.velocity);
         if iterate.ended {
-            let (system, solution) = solved(solid)?;
+            let (system, solution) = together.solve(solid, None)?;
             iterate.report.solves += 1;
             return Ok((system, solution, iterate.report));
         }
@@ -511,7 +650,7 @@ impl<'a> Inverse<'a> {
 /// (B + J S^-1 J^T) / scale of B, matching [`Multigrid`] as the inverse of B / scale.
 struct CondensedOperator<'a> {
     system: &'a CoupledSystem,
-    inverse: &'a Inverse<'a>,
+    inverse: &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync),
 }
 
 impl LinearOperator for CondensedOperator<'_> {
@@ -521,7 +660,7 @@ impl LinearOperator for CondensedOperator<'_> {
 
     fn apply(&self, x: &[f64], y: &mut [f64]) {
         self.system.pressure.stencil.apply(x, y);
-        let free = self.inverse.apply(&self.system.force(x));
+        let free = (self.inverse)(&self.system.force(x));
         for (y, flux) in y.iter_mut().zip(self.system.flux(&free)) {
             *y += flux / self.system.pressure.scale;
         }

@@ -904,10 +904,11 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     coupled_solver(&table, surface.is_some() && has_solids, &mut solver)?;
     solver.solid_contact = table.optional("solid_contact", false, |place| {
         let contact = place.boolean()?;
+        place.ensure(!contact || has_solids, "needs elastic solids", "remove it")?;
         place.ensure(
-            !contact || (has_solids && surface.is_none()),
-            "is for scenes of solids without liquid",
-            "remove it, or remove the liquid",
+            !contact || solver.coupling == CouplingScheme::Strong,
+            "needs liquid and solids in one solve",
+            "use coupling \"strong\", or remove it",
         )?;
         Ok(contact)
     })?;

@@ -12,8 +12,9 @@ use crate::fields::{
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
+use crate::reference::MOST_COUPLED;
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
-use crate::solver::{CoupledFields, CoupledSolver, Outcome, Weak, WeakBuffers};
+use crate::solver::{CoupledFields, CoupledSolver, Outcome, RowsOf, Weak, WeakBuffers};
 use crate::stages;
 use crate::stages::{OpenFaces, PatchPressure, Seal};
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
@@ -481,7 +482,8 @@ impl GpuCoupling {
 
     /// Solves for liquid and solids in a sub-step of dt (s) until the active set of contacts is unchanged, and in each
     /// the set of separated cells.
-    /// Damping-only coupling first solves for the solids without damping, then for both without elasticity.
+    /// Damping-only coupling first solves for the solids without damping, then for both without elasticity. `displacement` of all
+    /// nodes, m.
     pub(super) fn solve_in_contact(
         &self,
         gpu: &Gpu,
@@ -490,7 +492,24 @@ impl GpuCoupling {
         SolidReadbacks { answer, .. }: &mut SolidReadbacks,
         (step, dt): (SolidStep, f64),
         touch: ContactState,
+        displacement: &[[f64; 3]],
     ) -> Result<(Solved, StageTimes), Error> {
+        if let Some(contacts) = &solids.contacts {
+            let at = coupled((&liquid.buffers, &liquid.solver), solids, &self.buffers);
+            let dx = solids.buffers.plan.grid.dx;
+            let mut rows =
+                |velocity: &[f64]| Ok(contacts.rows(&solids.solids, dx, displacement, velocity));
+            let (polynomial, recorder) = (solids.polynomial(dt), Recorder::timed(gpu));
+            let rows_of = (&mut rows as RowsOf, MOST_COUPLED);
+            let (outcome, contact, times) =
+                together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
+            let solved = Solved {
+                parts: outcome.parts(touch.closed_components),
+                condensed: outcome.condensed,
+                contact,
+            };
+            return Ok((solved, times));
+        }
         let CouplingStages {
             closed_components,
             separated_flux,

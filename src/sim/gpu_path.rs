@@ -50,14 +50,15 @@ pub(super) type Probed = (Vec<f64>, NodeReadback);
 /// Checks that the device has kernels for the effects of a scene.
 ///
 /// # Errors
-/// [`Error::Input`] for contact of solids with each other.
+/// [`Error::Input`] for separation beside solids that touch each other.
 pub fn check_kernels(scene: &Scene) -> Result<(), Error> {
-    match Effects::of(scene).solid_contact {
+    let effects = Effects::of(scene);
+    match effects.separation && effects.solid_contact {
         false => Ok(()),
         true => Err(Error::input(
-            scene.at("solver.solid_contact"),
-            "contact of solids with each other needs the f64 path: the GPU has no kernels for it",
-            "use --backend cpu, or solid_contact = false",
+            scene.at("liquid.separation"),
+            "liquid that separates beside solids that touch each other needs the f64 path: the GPU has no kernels for it",
+            "use --backend cpu, separation = \"none\" or solid_contact = false",
         )),
     }
 }
@@ -378,7 +379,7 @@ impl GpuPath {
             self.gpu.upload(&liquid.buffers.step, &[step]);
         }
         if let Some(solids) = &mut self.solids {
-            solids.write_step(&self.gpu, &self.scene, &self.head, time_step.dt);
+            solids.write_step(&self.gpu, &self.scene, &self.head, time_step.dt)?;
         }
         Ok(())
     }

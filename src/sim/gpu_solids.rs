@@ -11,11 +11,14 @@ use crate::geometry::{ContactField, ObstacleCut};
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{MAX_SOLVES, MOST_HALVINGS};
 use crate::scene::Scene;
-use crate::solver::{ContactSearch, ObstacleField, Outcome, Polynomial, SolidSolver, SolidSystem};
+use crate::solver::{
+    ContactSearch, ObstacleField, Outcome, Polynomial, SolidSolver, SolidSystem, check_contact,
+};
 use crate::stages;
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
 use crate::step::Stage;
 
+use super::gpu_contacts::GpuContacts;
 use super::step::solve_report;
 
 /// The solids on the device.
@@ -27,6 +30,8 @@ pub(super) struct GpuSolids {
     obstacles: Option<ObstacleBuffers>,
     /// Moving obstacles, if any.
     moving: Option<ContactField>,
+    /// Where solids touch each other.
+    pub(super) contacts: Option<GpuContacts>,
     /// Largest node speed, m/s.
     pub(super) max_speed: f64,
     pub(super) buffers: SolidBuffers,
@@ -151,6 +156,12 @@ impl GpuSolids {
     /// Allocates and compiles. Obstacles and state must be written afterwards.
     pub(super) fn new(gpu: &Gpu, scene: &Scene, solids: Solids) -> Result<GpuSolids, Error> {
         let plan = solid_plan(scene, &solids, gpu.has_f64());
+        check_contact(
+            &solids,
+            scene.liquid.is_some(),
+            &scene.solver,
+            gpu.has_f64(),
+        )?;
         let rows = SolidRows::new(&solids)?;
         let buffers = SolidBuffers::new(gpu, plan, &solids)?;
         let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;
@@ -178,9 +189,12 @@ impl GpuSolids {
         let probed_velocity = || Readback::new(gpu, "solid.velocity", words);
         let mut probes = scene.probes.iter();
         let needs_velocity = probes.any(|probe| probe.kind.needs_node_velocity());
+        let contacts = || GpuContacts::new(gpu, &plan.grid, (&solids, &buffers));
+        let contacts = Effects::of(scene).solid_contact.then(contacts);
         Ok(GpuSolids {
             obstacles,
             moving: None,
+            contacts: contacts.transpose()?,
             bounds: Bounds::new(&solids),
             max_speed: 0.0,
             buffers,
@@ -199,10 +213,16 @@ impl GpuSolids {
         if let Some(field) = &mut self.moving {
             field.follow(scene);
         }
+        if let Some(contacts) = &mut self.contacts {
+            contacts.field.follow(scene);
+        }
     }
 
     /// Writes the distance to the obstacles.
     pub(super) fn write_obstacles(&mut self, gpu: &Gpu, cut: &ObstacleCut) {
+        if let Some(contacts) = &mut self.contacts {
+            contacts.field = cut.contact_field(&self.buffers.plan.grid);
+        }
         let Some(obstacles) = &self.obstacles else {
             return;
         };
@@ -255,6 +275,16 @@ impl GpuSolids {
             stages,
             ..
         } = self;
+        if let Some(contacts) = &self.contacts {
+            let mut rows = |velocity: &[f64]| {
+                let displacement = contacts.displacement(gpu, buffers)?;
+                let dx = buffers.plan.grid.dx;
+                Ok(contacts.rows(&self.solids, dx, &displacement, velocity))
+            };
+            let with = (system, buffers);
+            let solver = &stages.solve;
+            return solver.solve_in_rows(gpu, recorder, with, polynomial, &mut rows);
+        }
         let mut iterations = 0;
         let solve = |recorder, _| {
             let fields = buffers;
@@ -431,8 +461,22 @@ impl GpuSolids {
     }
 
     /// Writes the parameters of a sub-step of dt (s) that starts at the time of the clock.
-    pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, clock: &State, dt: f64) {
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub(super) fn write_step(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        clock: &State,
+        dt: f64,
+    ) -> Result<(), Error> {
         let step = self.buffers.step_of(scene.domain.gravity, dt);
+        if let Some(contacts) = &mut self.contacts {
+            let with = (&self.solids, &self.buffers);
+            let end = [clock.time + dt, dt];
+            contacts.begin(gpu, with, &self.buffers.plan.grid, end)?;
+        }
         gpu.upload(&self.buffers.step, &[step]);
         if self.solids.set_load([clock.time, clock.time + dt]) {
             self.buffers.write_load(gpu, &self.solids);
@@ -443,7 +487,7 @@ impl GpuSolids {
             velocity,
         } = &mut self.scripted;
         if displacement.is_empty() {
-            return;
+            return Ok(());
         }
         if clock.step == 0 {
             self.solids
@@ -464,6 +508,7 @@ impl GpuSolids {
             .prescribed_velocity(displacement, clock.time + dt, dt);
         round_to_f32(velocity);
         self.buffers.write_prescribed(gpu, velocity);
+        Ok(())
     }
 
     /// The Chebyshev preconditioner of a sub-step of dt (s).

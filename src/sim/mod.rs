@@ -1,6 +1,7 @@
 //! The simulation: a scene on the GPU or on the f64 CPU path, its sub-steps, and the run loop.
 
 mod control;
+mod gpu_contacts;
 mod gpu_coupling;
 mod gpu_liquid;
 mod gpu_obstacles;

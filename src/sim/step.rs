@@ -349,6 +349,7 @@ impl SubStep<'_, '_> {
             solid_readbacks,
             (step, self.dt),
             touch,
+            &self.moved,
         )?;
         self.readback.seconds.append(&mut seconds);
         let [pressure, velocity] = solved.parts;

@@ -18,11 +18,13 @@ use std::sync::{Mutex, PoisonError};
 use crate::Error;
 use crate::fields::SolidBuffers;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Readback, Real, Recorder, StageTimes};
+use crate::linalg::RowSearch;
 use crate::scene::{Formulation, Solver};
-use crate::state::SolveStatus;
+use crate::state::{ContactReport, SolveStatus};
 use crate::wgsl;
 
 use super::chebyshev::Polynomial;
+use super::contact_rows::{self, HeldSolve, NodeReadbacks, RowsOf};
 use super::coupled_host::HostCoupled;
 use super::pcg::{Block, Pcg, State, Unknowns};
 use super::pressure::Pressure;
@@ -160,11 +162,12 @@ impl CorrectionForm<'_> {
         !matches!(self.prepared, None | Some((_, Prepared::Monolithic)))
     }
 
-    fn case(&self, again: bool) -> Case<'_> {
+    /// `held`: rows of solids that touch each other.
+    fn case<'b>(&'b self, again: bool, held: Option<&'b HeldSolve>) -> Case<'b> {
         Case {
             form: match &self.prepared {
                 Some((schur, Prepared::Schur(inverse))) => {
-                    Form::Schur(schur.elimination(self.at, inverse))
+                    Form::Schur(schur.elimination(self.at, inverse, held))
                 }
                 Some((_, Prepared::Singular)) => Form::Singular,
                 Some((_, Prepared::Monolithic)) | None => Form::Monolithic,
@@ -190,6 +193,8 @@ struct Coupled {
     force: Bound,
     monolithic: Monolithic,
     schur: Option<Schur>,
+    /// Where solids touch each other.
+    nodes: Option<Mutex<NodeReadbacks>>,
     /// For the right-hand side of the wet quads, where residuals are evaluated on the host.
     base: Option<Mutex<Readback<u32>>>,
 }
@@ -252,10 +257,22 @@ impl CoupledSolver {
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
         let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
-        let case = form.case(again);
-        self.clear(gpu, case);
-        let (outcomes, mut stages) = self.outer.solve(gpu, recorder, case)?;
+        let (outcome, mut stages) = self.solve_form(gpu, recorder, &form, again, None)?;
         times.append(&mut stages);
+        Ok((outcome, times))
+    }
+
+    fn solve_form(
+        &self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        form: &CorrectionForm,
+        again: bool,
+        held: Option<&HeldSolve>,
+    ) -> Result<(CoupledOutcome, StageTimes), Error> {
+        let case = form.case(again, held);
+        self.clear(gpu, case);
+        let (outcomes, times) = self.outer.solve(gpu, recorder, case)?;
         Ok((CoupledOutcome::new(&outcomes, form.condenses()), times))
     }
 
@@ -301,7 +318,7 @@ impl CoupledSolver {
     ) -> Result<(CoupledOutcome, StageTimes, bool), Error> {
         let case = Case {
             sized: false,
-            ..form.case(again)
+            ..form.case(again, None)
         };
         self.clear(gpu, case);
         let aim = Aim {
@@ -323,6 +340,59 @@ impl CoupledSolver {
     /// Tolerance of both residuals.
     pub(crate) fn tolerance(&self) -> f64 {
         self.outer.tolerance()
+    }
+
+    /// The same under the rows of solids that touch each other, with at most `most` solves (twin: reference/contact_rows.rs).
+    pub fn solve_in_rows(
+        &self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        at: CoupledFields,
+        polynomial: &Polynomial,
+        (rows_of, most): (RowsOf, u32),
+    ) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
+        let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
+        let (mut outcome, mut stages) = self.solve_form(gpu, recorder, &form, false, None)?;
+        times.append(&mut stages);
+        let mut report = ContactReport {
+            solves: 1,
+            unsettled: 0,
+        };
+        let system = &self.outer.system;
+        let (Some(nodes), Some((schur, Prepared::Schur(inverse)))) =
+            (&system.nodes, &form.prepared)
+        else {
+            return Ok((outcome, report, times));
+        };
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        let mut nodes = nodes.lock().unwrap_or_else(PoisonError::into_inner);
+        let [velocity, rhs] = nodes.read(gpu, at.solids, at.fields)?;
+        let rows = rows_of(&contact_rows::three(&velocity))?;
+        let Some(rows) = rows.filter(|_| outcome.status.is_best_attainable()) else {
+            return Ok((outcome, report, times));
+        };
+        let rows = contact_rows::unilateral(rows, at.coupling.n_nodes, &inverse.factor);
+        let start = contact_rows::prescribed(&inverse.factor, &velocity);
+        let mut search = RowSearch::new(&rows, &velocity);
+        while let Some(held) = rows.hold(search.held()) {
+            let held = HeldSolve::new(gpu, held, &start, &rhs, &at.solids.rhs);
+            schur.hold(gpu, inverse, &held);
+            let recorder = Recorder::timed(gpu);
+            let (next, mut stages) = self.solve_form(gpu, recorder, &form, true, Some(&held))?;
+            times.append(&mut stages);
+            outcome = CoupledOutcome {
+                iterations: outcome.iterations + next.iterations,
+                ..next
+            };
+            report.solves += 1;
+            let [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
+            let (wrong, exchanged) = search.exchange(&rows, &held.lambda(), &velocity);
+            report.unsettled = wrong as u32;
+            if !exchanged || !outcome.status.is_best_attainable() || report.solves == most {
+                break;
+            }
+        }
+        Ok((outcome, report, times))
     }
 
     /// From the next solve on, another tolerance of both residuals.
@@ -418,6 +488,10 @@ impl Coupled {
                 Formulation::TwoField => None,
                 Formulation::Auto | Formulation::Condensed => Schur::new(gpu, at, shared, solver)?,
             },
+            nodes: (solver.solid_contact)
+                .then(|| NodeReadbacks::new(gpu, solids, fields))
+                .transpose()?
+                .map(Mutex::new),
             base: (variant.real == Real::F32)
                 .then(|| Readback::new(gpu, "coupled_solver.base", coupling.base.words.len()))
                 .transpose()?

@@ -117,6 +117,10 @@ impl HostSystem for HostCoupled<'_> {
         force.iter().map(|f| f / self.mass).collect()
     }
 
+    fn set_forces(&mut self, forces: Vec<f64>) {
+        self.solids.set_rhs(forces);
+    }
+
     fn finish(&self, gpu: &Gpu, x: &mut [Vec<f64>]) {
         self.pressure.finish(gpu, x);
         // As evaluations on the device leave it.

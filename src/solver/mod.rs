@@ -30,6 +30,7 @@
 
 mod acceptance;
 mod chebyshev;
+mod contact_rows;
 mod coupled;
 mod coupled_host;
 mod hierarchy;
@@ -49,6 +50,7 @@ mod weak;
 
 pub use acceptance::{COUPLING_SHARE, RefineSettings, rounding};
 pub use chebyshev::Polynomial;
+pub use contact_rows::{RowsOf, check_contact};
 pub use coupled::{CoupledFields, CoupledOutcome, CoupledSolver};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use pressure::PressureSolver;

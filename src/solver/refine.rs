@@ -176,6 +176,9 @@ pub(super) trait HostSystem {
         Vec::new()
     }
 
+    /// Replaces the right-hand side of the second block.
+    fn set_forces(&mut self, _: Vec<f64>) {}
+
     /// Before the unknowns are uploaded: what else evaluations on the device leave behind.
     fn finish(&self, _: &Gpu, _x: &mut [Vec<f64>]) {}
 }
@@ -451,6 +454,9 @@ impl<S: System> OuterLoop<S> {
             let reading = self.submit(gpu, recorder, case, residual, &mut times)?;
             if let Some(status) = status(&reading, self.n_blocks) {
                 if reading.control.status == STATUS_STAGNATED {
+                    if let Form::Schur(elimination) = form {
+                        elimination.revert(gpu);
+                    }
                     // One more evaluation, which subtracts the rejected correction.
                     recorder = Recorder::new(gpu);
                     recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
@@ -483,7 +489,7 @@ impl<S: System> OuterLoop<S> {
         // Else a rejected correction is to be subtracted first.
         if reading.control.running == 1 {
             let size = reading.norms[SCALE];
-            elimination.eliminate(gpu, &reading.nodes, size);
+            elimination.eliminate(gpu, &reading.nodes, size, 1.0);
             let mut recorder = Recorder::timed(gpu);
             recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
             let force = loop {
@@ -501,8 +507,10 @@ impl<S: System> OuterLoop<S> {
             let forces = reading.nodes.iter().zip(&force);
             let forces: Vec<f64> = forces.map(|(r, force)| r + size * force).collect();
             let mut search = vec![0.0; forces.len()];
-            search.extend(elimination.inverse.velocity(&forces, size));
+            search.extend(elimination.correct(gpu, &forces, size, 1.0).0);
             S::unknowns(case).blocks[1].search.upload(gpu, &search);
+        } else {
+            elimination.revert(gpu);
         }
         let mut recorder = Recorder::timed(gpu);
         recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
@@ -699,7 +707,7 @@ impl<S: System> OuterLoop<S> {
             recorder.submit();
             args.wait(gpu)?
         };
-        let system = self.system.on_host(gpu, case, reading.closed)?;
+        let mut system = self.system.on_host(gpu, case, reading.closed)?;
         let mut x = system.start();
         let mut residuals = system.residuals(&x);
         let Reading { norms, control, .. } = &mut reading;
@@ -730,7 +738,7 @@ impl<S: System> OuterLoop<S> {
             let blocks = S::unknowns(case).blocks;
             match form {
                 Form::Schur(elimination) => {
-                    elimination.eliminate(gpu, &scaled[1], 1.0);
+                    elimination.eliminate(gpu, &scaled[1], 1.0, 1.0 / size);
                     blocks[0].outer.upload(gpu, &scaled[0]);
                 }
                 Form::Monolithic | Form::Singular => {
@@ -742,7 +750,7 @@ impl<S: System> OuterLoop<S> {
             reading.control.refinements += 1;
             self.open(gpu, &mut reading, &args, goal);
             reading.control = self.iterate(gpu, case, times)?;
-            let correction = self.correction(gpu, case, &system, &scaled)?;
+            let correction = self.correction(gpu, case, &mut system, (&scaled, 1.0 / size))?;
             let better: Vec<Vec<f64>> = x
                 .iter()
                 .zip(&correction)
@@ -757,6 +765,11 @@ impl<S: System> OuterLoop<S> {
             } = reading.control;
             let broke_down = status == STATUS_BREAKDOWN;
             if worst_after >= worst && !(broke_down && refinements == 1) {
+                if let Form::Schur(elimination) = form
+                    && let Some(rhs) = elimination.revert(gpu)
+                {
+                    system.set_forces(rhs);
+                }
                 if acceptance.retry() && !broke_down {
                     continue;
                 }
@@ -814,8 +827,8 @@ impl<S: System> OuterLoop<S> {
         &self,
         gpu: &Gpu,
         case: S::Case<'_>,
-        system: &S::Host<'_>,
-        scaled: &[Vec<f64>],
+        system: &mut S::Host<'_>,
+        (scaled, unit): (&[Vec<f64>], f64),
     ) -> Result<Vec<Vec<f64>>, Error> {
         let blocks = S::unknowns(case).blocks;
         let search: Vec<&RealBuffer> = blocks.iter().map(|block| block.search).collect();
@@ -825,7 +838,11 @@ impl<S: System> OuterLoop<S> {
         let mut correction = self.read_blocks(gpu, &search[..1], true)?;
         let force = system.coupling(&correction[0]);
         let forces: Vec<f64> = force.iter().zip(&scaled[1]).map(|(f, r)| f + r).collect();
-        correction.push(elimination.inverse.velocity(&forces, 1.0));
+        let (velocity, rhs) = elimination.correct(gpu, &forces, 1.0, unit);
+        if let Some(rhs) = rhs {
+            system.set_forces(rhs);
+        }
+        correction.push(velocity);
         Ok(correction)
     }
 }

@@ -19,6 +19,7 @@ use crate::wgsl;
 
 use super::Sweep;
 use super::chebyshev::Polynomial;
+use super::contact_rows::HeldSolve;
 use super::coupled::CoupledFields;
 use super::pcg::{Pcg, State, Unknowns};
 use super::pressure::FIRST_SWEEP;
@@ -32,7 +33,7 @@ pub const MOST_WETTED: usize = 4500;
 /// few tens of iterations. Where the polynomial of the solids falls short they take hundreds.
 pub const WORTH_WETTED: usize = 2000;
 /// Components of all solids, at most: a factor of as many takes some hundredths of a second.
-const MOST_COMPONENTS: usize = 30_000;
+pub(super) const MOST_COMPONENTS: usize = 30_000;
 /// Iterations recorded ahead of an exchange; a refinement step takes about as many.
 pub(super) const CHUNK: usize = 12;
 
@@ -55,6 +56,8 @@ pub struct Wetted {
 pub(super) struct Schur {
     /// Form that the scene requires.
     formulation: Formulation,
+    /// Whether solids touch each other, which needs this form.
+    contact: bool,
     stiffness: StoredStiffness,
     wet: Bound,
     wet_nodes: Buffer<u32>,
@@ -100,15 +103,21 @@ pub(super) enum Prepared<'a> {
 /// S^-1 of a sub-step.
 #[derive(Debug)]
 pub(super) struct Inverse<'a> {
-    factor: Factor<'a>,
+    pub(super) factor: Factor<'a>,
     /// rho dx^3 / dt, kg/s.
-    mass: f64,
+    pub(super) mass: f64,
+    /// Wet nodes.
+    pub(super) nodes: Vec<u32>,
+    /// The wet compliance in scenes with contact of solids, which downdates it.
+    pub(super) wet: Vec<f32>,
 }
 
 /// Elimination of the velocities, and their recovery.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Elimination<'a> {
     pub(super) inverse: &'a Inverse<'a>,
+    /// Rows of contact that are equations in this solve.
+    held: Option<&'a HeldSolve<'a>>,
     y: &'a RealBuffer,
     record_force: &'a Bound,
     n_nodes: usize,
@@ -119,24 +128,44 @@ pub(super) struct Elimination<'a> {
 }
 
 impl Elimination<'_> {
-    /// Writes S^-1 r / size.
-    pub(super) fn eliminate(&self, gpu: &Gpu, r: &[f64], size: f64) {
-        self.y.upload(gpu, &self.inverse.velocity(r, size));
+    /// Writes S^-1 r / size. `unit`: what r is a multiple of.
+    pub(super) fn eliminate(&self, gpu: &Gpu, r: &[f64], size: f64, unit: f64) {
+        self.y.upload(gpu, &self.velocity(r, size, unit).0);
+    }
+
+    /// S^-1 of forces over the mass rate of a cell, in m/s, over a size, and the lambda of held rows.
+    fn velocity(&self, forces: &[f64], size: f64, unit: f64) -> (Vec<f64>, Vec<f64>) {
+        let Inverse { factor, mass, .. } = self.inverse;
+        let newtons: Vec<f64> = forces.iter().map(|force| mass * force).collect();
+        let mut velocity = factor.solve(&newtons);
+        let lambda = self.held.map_or(Vec::new(), |held| {
+            held.constrain(&newtons, unit, &mut velocity)
+        });
+        velocity.iter_mut().for_each(|v| *v /= size);
+        (velocity, lambda)
+    }
+
+    /// The correction of the velocities. Held rows get its forces, and the right-hand side with them is returned.
+    pub(super) fn correct(
+        &self,
+        gpu: &Gpu,
+        forces: &[f64],
+        size: f64,
+        unit: f64,
+    ) -> (Vec<f64>, Option<Vec<f64>>) {
+        let (velocity, lambda) = self.velocity(forces, size, unit);
+        let rhs = self.held.map(|held| held.advance(gpu, &lambda, unit));
+        (velocity, rhs)
+    }
+
+    /// After a rejected correction: the right-hand side before it.
+    pub(super) fn revert(&self, gpu: &Gpu) -> Option<Vec<f64>> {
+        self.held.map(|held| held.revert(gpu))
     }
 
     /// Records J^T of the correction of the pressure.
     pub(super) fn record_force(&self, pass: &mut Pass) {
         pass.dispatch(self.record_force, self.n_nodes);
-    }
-}
-
-impl Inverse<'_> {
-    /// S^-1 of forces over the mass rate of a cell, in m/s, over a size.
-    pub(super) fn velocity(&self, forces: &[f64], size: f64) -> Vec<f64> {
-        let newtons: Vec<f64> = forces.iter().map(|force| self.mass * force).collect();
-        let mut velocity = self.factor.solve(&newtons);
-        velocity.iter_mut().for_each(|v| *v /= size);
-        velocity
     }
 }
 
@@ -147,7 +176,7 @@ pub fn can_condense(rows: &SolidRows, solver: &Solver, f64: bool) -> bool {
 }
 
 /// Whether the outer loop is in f64, on the device or on the host, as dv is.
-fn refines(solver: &Solver, variant: Variant) -> bool {
+pub(super) fn refines(solver: &Solver, variant: Variant) -> bool {
     variant.real == Real::F64 || on_host(solver, variant)
 }
 
@@ -239,6 +268,7 @@ impl Schur {
         };
         Ok(Some(Schur {
             formulation: solver.formulation,
+            contact: solver.solid_contact,
             stiffness: StoredStiffness::new(n, &rows.elements),
             wet: bind(gpu, &wgsl!("condensed_wet"), real, wet, &at.by_node())?,
             begin: bind(
@@ -279,9 +309,11 @@ impl Schur {
         &'a self,
         at: CoupledFields<'a>,
         inverse: &'a Inverse<'a>,
+        held: Option<&'a HeldSolve<'a>>,
     ) -> Elimination<'a> {
         Elimination {
             inverse,
+            held,
             y: &self.y,
             record_force: &self.force,
             n_nodes: at.coupling.n_nodes,
@@ -304,7 +336,11 @@ impl Schur {
         let room = self.nodes.len();
         match self.formulation {
             Formulation::Condensed => room,
-            Formulation::Auto | Formulation::TwoField if polynomial.falls_short() => room,
+            Formulation::Auto | Formulation::TwoField
+                if self.contact || polynomial.falls_short() =>
+            {
+                room
+            }
             Formulation::Auto | Formulation::TwoField => room.min(WORTH_WETTED / 3),
         }
     }
@@ -355,11 +391,16 @@ impl Schur {
         let Some(factor) = self.stiffness.factorise(&stored)? else {
             let form = match self.formulation {
                 Formulation::Condensed => Prepared::Singular,
+                _ if self.contact => Prepared::Singular,
                 Formulation::Auto | Formulation::TwoField => Prepared::Monolithic,
             };
             return Ok((form, times));
         };
-        gpu.upload(&self.w, &factor.inverse_among(&nodes, mass));
+        let mut wet = factor.inverse_among(&nodes, mass);
+        gpu.upload(&self.w, &wet);
+        if !self.contact {
+            wet = Vec::new();
+        }
         gpu.upload(&self.nodes, &nodes);
         let wetted = Wetted {
             n: nodes.len() as u32,
@@ -371,6 +412,17 @@ impl Schur {
             ..coupling.written.sizes
         };
         gpu.upload(&self.quads_only, &[quads_only]);
-        Ok((Prepared::Schur(Inverse { factor, mass }), times))
+        let inverse = Inverse {
+            factor,
+            mass,
+            nodes,
+            wet,
+        };
+        Ok((Prepared::Schur(inverse), times))
+    }
+
+    /// Writes the wet compliance with rows as equations.
+    pub(super) fn hold(&self, gpu: &Gpu, inverse: &Inverse, held: &HeldSolve) {
+        gpu.upload(&self.w, &held.compliance(inverse));
     }
 }

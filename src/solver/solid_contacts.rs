@@ -116,8 +116,11 @@ impl SolidContacts {
         let gpu_at = &gpu.at(Stage::RightHandSide.name());
         let variant = buffers.variant;
         let bound = |source| bind(gpu_at, &source, variant, [], &[buffers, fields]);
-        let mut touch = vec![bound(wgsl!("solid_contacts"))?];
-        if let Some(obstacles) = obstacles {
+        let mut touch = Vec::new();
+        if !buffers.rows_on_host {
+            touch.push(bound(wgsl!("solid_contacts"))?);
+        }
+        if let Some(obstacles) = obstacles.filter(|_| !buffers.rows_on_host) {
             let own = [
                 ("level", obstacles.level.into()),
                 ("distances", obstacles.solid_distance.into()),
@@ -131,7 +134,7 @@ impl SolidContacts {
                 &tables,
             )?);
         }
-        if fields.plan.n_moving > 0 {
+        if fields.plan.n_moving > 0 && !buffers.rows_on_host {
             touch.push(bound(wgsl!("moving_contacts"))?);
         }
         Ok(SolidContacts {

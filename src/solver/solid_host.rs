@@ -110,6 +110,10 @@ impl HostElastic {
         self.constrained.clone()
     }
 
+    pub(super) fn set_rhs(&mut self, rhs: Vec<f64>) {
+        self.rhs = rhs;
+    }
+
     pub(super) fn n_nodes(&self) -> usize {
         self.freedom.len()
     }

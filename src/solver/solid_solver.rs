@@ -8,10 +8,12 @@ use crate::fields::solid_system::{BODIES, N_LISTS, NODES};
 use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder, SPLIT, StageTimes};
 use crate::scene::Solver;
+use crate::state::ContactReport;
 use crate::wgsl;
 
 use super::BLOCK;
 use super::chebyshev::{MAX_DEGREE, Polynomial};
+use super::contact_rows::{DrySystem, RowsOf};
 use super::pcg::{Pcg, State, Unknowns};
 use super::refine::{Outcome, OuterLoop, Pace, Shared, System};
 use super::solid_host::HostElastic;
@@ -38,6 +40,8 @@ fn in_workgroups(largest_body: usize, n_bodies: usize) -> bool {
 #[derive(Debug)]
 pub struct SolidSolver {
     outer: OuterLoop<Elastic>,
+    /// Where solids touch each other.
+    rows: Option<DrySystem>,
     polynomial: Buffer<Polynomial>,
 }
 
@@ -58,7 +62,12 @@ impl SolidSolver {
         let outer = OuterLoop::new(gpu, case, solver, |shared| {
             Elastic::new(gpu, case, shared, &polynomial)
         })?;
-        Ok(SolidSolver { outer, polynomial })
+        let rows = || DrySystem::new(gpu, buffers, fields);
+        Ok(SolidSolver {
+            outer,
+            rows: solver.solid_contact.then(rows).transpose()?,
+            polynomial,
+        })
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome, with a residual in f64: of the host where the device rounds it.
@@ -75,6 +84,35 @@ impl SolidSolver {
         let case = self.case(gpu, buffers, fields, polynomial);
         let (outcomes, times) = self.outer.solve(gpu, recorder, case)?;
         Ok((outcomes[0], times))
+    }
+
+    /// The same under the rows of solids that touch each other (twin: reference/contact_rows.rs).
+    pub fn solve_in_rows(
+        &self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        (buffers, fields): (&SolidSystemBuffers, &SolidBuffers),
+        polynomial: &Polynomial,
+        rows_of: RowsOf,
+    ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
+        let (free, mut times) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
+        let mut report = ContactReport {
+            solves: 1,
+            unsettled: 0,
+        };
+        let pushed = match &self.rows {
+            Some(rows) => rows.push(gpu, buffers, fields, rows_of)?,
+            None => None,
+        };
+        let Some([solves, unsettled]) = pushed else {
+            return Ok((free, report, times));
+        };
+        report = ContactReport { solves, unsettled };
+        let recorder = Recorder::timed(gpu);
+        let (mut outcome, mut stages) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
+        times.append(&mut stages);
+        outcome.iterations += free.iterations;
+        Ok((outcome, report, times))
     }
 
     /// From the next solve on, another tolerance of the true residual.

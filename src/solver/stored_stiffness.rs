@@ -131,6 +131,10 @@ pub(super) struct Factor<'a> {
 }
 
 impl Factor<'_> {
+    pub(super) fn projectors(&self) -> &[DMat3] {
+        &self.projectors
+    }
+
     /// The free part of S^-1 y, four numbers per node in and out.
     pub(super) fn solve(&self, y: &[f64]) -> Vec<f64> {
         let nodes = self.projectors.iter().zip(y.chunks_exact(4));

@@ -80,6 +80,7 @@ mod tet_files;
 mod tet_mesh;
 mod time_step;
 mod touching;
+mod touching_in_liquid;
 mod traffic;
 mod twin_advect_level;
 mod twin_advect_markers;

@@ -206,28 +206,33 @@ fn a_stack_stands() {
     }
 }
 
-/// The device and scenes with liquid lack it.
+/// Liquid and solids must share a solve, and the device needs the factor of the solids and residuals in f64.
 #[test]
 fn contact_of_solids_is_refused_where_it_is_missing() {
-    let text = |liquid: &str| {
+    let text = |solver: &str| {
         format!(
-            "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n{liquid}[[solid]]\nname = \"block\"\n\
-             mesh = {{ box = {{ size = [0.2, 0.2, 0.2], cells = [1, 1, 1] }} }}\nplacement = {{ translate = [0.5, 0.7, 0.5] }}\n\
-             density = 1000\nyoung = 1e5\npoisson = 0.3\n[solver]\nsolid_contact = true\n"
+            "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, 0.2, 1] }}\n\
+             [[solid]]\nname = \"block\"\nmesh = {{ box = {{ size = [0.2, 0.2, 0.2], cells = [1, 1, 1] }} }}\n\
+             placement = {{ translate = [0.5, 0.7, 0.5] }}\ndensity = 1000\nyoung = 1e5\npoisson = 0.3\n[solver]\nsolid_contact = true\n{solver}"
         )
     };
     let parse = |text: &str| Scene::parse("touch.toml".as_ref(), text, &[], 1.0);
-    let liquid = "[liquid]\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.2, 1] }\n";
-    let refused = parse(&text(liquid)).unwrap_err().to_string();
-    assert!(
-        refused.contains("solver.solid_contact") && refused.contains("liquid"),
-        "{refused}"
-    );
+    for coupling in ["weak", "damping_only"] {
+        let text = text(&format!("coupling = \"{coupling}\"\n"));
+        let refused = parse(&text).unwrap_err().to_string();
+        assert!(
+            refused.contains("solver.solid_contact") && refused.contains("strong"),
+            "{refused}"
+        );
+    }
+    for key in ["formulation = \"two_field\"", "precision = \"f32\""] {
+        let scene = parse(&text(key)).unwrap();
+        assert!(Simulation::new(&scene, &Backend::Cpu).is_ok(), "{key}");
+        let refused = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best));
+        let refused = refused.err().unwrap().to_string();
+        assert!(refused.contains("--backend cpu"), "{key}: {refused}");
+    }
     let scene = parse(&text("")).unwrap();
-    let refused = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best));
-    let refused = refused.err().unwrap().to_string();
-    assert!(refused.contains("--backend cpu"), "{refused}");
-    assert!(Simulation::new(&scene, &Backend::Cpu).is_ok());
     let plan = Plan::new(&scene, None).unwrap();
     assert!(
         plan.effects

@@ -4,8 +4,9 @@ use glam::DVec3;
 
 use super::SubStep;
 use crate::Error;
-use crate::reference::contact_rows::solve_in_rows;
+use crate::reference::contact_rows::{Touching, solve_coupled_in_rows, solve_in_rows};
 use crate::reference::path::SolidModel;
+use crate::reference::solve_coupled::Together;
 use crate::reference::{
     Candidates, CoupledSystem, Formulation, PressureSystem, SQUEEZE, Separation, SolidSystem,
     solve, solve_coupled_in_contact, solve_damping_only, solve_weak, touching_cells,
@@ -127,9 +128,14 @@ impl SubStep<'_> {
                 false => solver.solve_in_contact(solids, system, contacts, settings)?,
                 true => {
                     let moved = solids.moved(&self.after.displacement);
-                    let touching = (&*contacts, &moved.nodes[..]);
-                    let dx = self.model.grid.dx;
-                    solve_in_rows(solver, (solids, system), touching, dx, settings)?
+                    let touching = Touching {
+                        solids,
+                        contacts,
+                        positions: &moved.nodes,
+                        dt: self.time_step.dt,
+                        dx: self.model.grid.dx,
+                    };
+                    solve_in_rows(solver, system, touching, settings)?
                 }
             };
             self.after.node_velocity = velocity;
@@ -168,19 +174,41 @@ impl SubStep<'_> {
             solution.reports[0] = or_incompatible(solution.reports[0], share);
             solution
         } else {
-            let solve = match settings.coupling {
-                CouplingScheme::DampingOnly => solve_damping_only,
-                _ => solve_coupled_in_contact,
+            let solved = if self.model.effects.solid_contact {
+                let moved = solids.moved(&self.after.displacement);
+                let touching = Touching {
+                    solids,
+                    contacts,
+                    positions: &moved.nodes,
+                    dt: self.time_step.dt,
+                    dx: self.model.grid.dx,
+                };
+                let together = Together {
+                    pressure,
+                    separation,
+                    coupling,
+                    solver,
+                    solids,
+                    settings,
+                    iterations: 0,
+                };
+                solve_coupled_in_rows(together, solid, touching)
+            } else {
+                let solve = match settings.coupling {
+                    CouplingScheme::DampingOnly => solve_damping_only,
+                    _ => solve_coupled_in_contact,
+                };
+                solve(
+                    (pressure, separation),
+                    solid,
+                    coupling,
+                    contacts,
+                    solver,
+                    solids,
+                    settings,
+                )
             };
-            let (system, mut solution, contact) = solve(
-                (pressure, separation),
-                solid,
-                coupling,
-                contacts,
-                solver,
-                solids,
-                settings,
-            )?;
+            let (system, mut solution, contact) = solved?;
             let flagged = |report| or_incompatible(report, system.squeezed);
             solution.reports = solution.reports.map(flagged);
             self.results.coupling.condensed = Formulation::of(&system) == Formulation::Condensed;

@@ -1,0 +1,325 @@
+//! Solids that touch each other: unilateral rows beside the solves on the device (twin: reference/contact_rows.rs).
+//!
+//! The host has the rows, the factor of S and the small dense problem of [`UnilateralRows`], in f64; the device solves for the velocities with
+//! the contact forces in the right-hand side. Alone, solids take two solves: without rows, and with the forces that these call for. In liquid the
+//! Schur-complement form has the rows as equations ([`HeldSolve`]): the host downdates the wet compliance and computes the forces of the rows
+//! with each correction of the velocities.
+
+use std::sync::{Mutex, PoisonError};
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::schur::Inverse;
+use super::stored_stiffness::{Factor, Stored, StoredStiffness};
+use crate::Error;
+use crate::elastic::Solids;
+use crate::fields::{SolidBuffers, SolidSystemBuffers, variant};
+use crate::gpu::{Gpu, Readback, RealBuffer, Recorder};
+use crate::linalg::{HeldRows, Row, UnilateralRows};
+use crate::scene::{Formulation, Solver};
+
+use super::schur::{MOST_COMPONENTS, MOST_WETTED, refines};
+
+/// Makes the rows for velocities, m/s, three numbers per node; `None` where these meet all rows.
+pub type RowsOf<'a> = &'a mut dyn FnMut(&[f64]) -> Result<Option<Vec<Row>>, Error>;
+
+/// Refuses contact of solids that are too large for the host's factor, or a solve without f64.
+///
+/// # Errors
+/// [`Error::Limit`] with what it needs.
+pub fn check_contact(solids: &Solids, wet: bool, solver: &Solver, f64: bool) -> Result<(), Error> {
+    if !solver.solid_contact {
+        return Ok(());
+    }
+    let limit = |needed: usize, available: usize, unit| {
+        Err(Error::Limit {
+            what: "contact of solids with each other".to_owned(),
+            needed: needed as u64,
+            available: available as u64,
+            unit,
+            cure: "use --backend cpu, or solid_contact = false".to_owned(),
+        })
+    };
+    let mut surface = solids.triangles.as_flattened().to_vec();
+    surface.sort_unstable();
+    surface.dedup();
+    match (3 * solids.rest.len(), 3 * surface.len()) {
+        _ if !refines(solver, variant(f64, solver.precision)) => limit(1, 0, "outer loop in f64"),
+        _ if wet && solver.formulation == Formulation::TwoField => {
+            limit(1, 0, "solve in the condensed form")
+        }
+        (n, _) if n > MOST_COMPONENTS => {
+            limit(n, MOST_COMPONENTS, "components of the nodes of solids")
+        }
+        (_, n) if wet && n > MOST_WETTED => limit(
+            n,
+            MOST_WETTED,
+            "components of the nodes on surfaces in liquid",
+        ),
+        _ => Ok(()),
+    }
+}
+
+/// Index of a component of a node in vectors with four numbers per node.
+fn with_four(component: usize) -> usize {
+    4 * (component / 3) + component % 3
+}
+
+/// X and W of rows, in vectors with four numbers per node.
+pub(super) fn unilateral(rows: Vec<Row>, n_nodes: usize, factor: &Factor) -> UnilateralRows {
+    let rows = rows.into_iter().map(|mut row| {
+        row.entries
+            .iter_mut()
+            .for_each(|entry| entry.0 = with_four(entry.0));
+        row
+    });
+    UnilateralRows::new(rows.collect(), 4 * n_nodes, |force| factor.solve(&force))
+}
+
+/// Vectors of the nodes on their way to the host.
+#[derive(Debug)]
+pub(super) struct NodeReadbacks {
+    velocity: Readback<u32>,
+    rhs: Readback<u32>,
+}
+
+impl NodeReadbacks {
+    pub(super) fn new(
+        gpu: &Gpu,
+        solids: &SolidSystemBuffers,
+        fields: &SolidBuffers,
+    ) -> Result<NodeReadbacks, Error> {
+        let [velocity, rhs] = [&fields.velocity.words, &solids.rhs.words].map(|words| words.len());
+        Ok(NodeReadbacks {
+            velocity: Readback::new(gpu, "contact.velocity", velocity)?,
+            rhs: Readback::new(gpu, "contact.rhs", rhs)?,
+        })
+    }
+
+    /// Velocities, m/s, and right-hand side, four numbers per node.
+    pub(super) fn read(
+        &mut self,
+        gpu: &Gpu,
+        solids: &SolidSystemBuffers,
+        fields: &SolidBuffers,
+    ) -> Result<[Vec<f64>; 2], Error> {
+        let mut recorder = Recorder::new(gpu);
+        recorder.read(&fields.velocity.words, &mut self.velocity);
+        recorder.read(&solids.rhs.words, &mut self.rhs);
+        recorder.submit();
+        Ok([
+            fields.velocity.widen(&self.velocity.wait(gpu)?),
+            solids.rhs.widen(&self.rhs.wait(gpu)?),
+        ])
+    }
+}
+
+/// Three of each four numbers.
+pub(super) fn three(four: &[f64]) -> Vec<f64> {
+    let (nodes, _) = four.as_chunks::<4>();
+    nodes.iter().flat_map(|&[x, y, z, _]| [x, y, z]).collect()
+}
+
+/// S of solids that no liquid touches, on the host.
+#[derive(Debug)]
+pub(super) struct DrySystem {
+    stiffness: StoredStiffness,
+    readbacks: Mutex<DryReadbacks>,
+}
+
+#[derive(Debug)]
+struct DryReadbacks {
+    nodes: NodeReadbacks,
+    freedom: Readback<[f32; 4]>,
+    rotated: Readback<u32>,
+    masses: Readback<u32>,
+}
+
+impl DrySystem {
+    pub(super) fn new(
+        gpu: &Gpu,
+        solids: &SolidSystemBuffers,
+        fields: &SolidBuffers,
+    ) -> Result<DrySystem, Error> {
+        let n = solids.sizes.n_nodes as usize;
+        let words = solids.variant.real.bytes() / 4;
+        Ok(DrySystem {
+            stiffness: StoredStiffness::new(n, &solids.layout.elements),
+            readbacks: Mutex::new(DryReadbacks {
+                nodes: NodeReadbacks::new(gpu, solids, fields)?,
+                freedom: Readback::new(gpu, "contact.freedom", n)?,
+                rotated: Readback::new(gpu, "contact.rotated", fields.rotated.words.len())?,
+                masses: Readback::new(gpu, "contact.masses", words * n)?,
+            }),
+        })
+    }
+
+    /// After a solve without rows: writes the forces of the rows to the right-hand side. `None` where the velocities meet them all; else
+    /// exchanges of the pivoting, and rows that it left wrong.
+    pub(super) fn push(
+        &self,
+        gpu: &Gpu,
+        solids: &SolidSystemBuffers,
+        fields: &SolidBuffers,
+        rows_of: RowsOf,
+    ) -> Result<Option<[u32; 2]>, Error> {
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        let mut readbacks = self
+            .readbacks
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let DryReadbacks {
+            nodes,
+            freedom,
+            rotated,
+            masses,
+        } = &mut *readbacks;
+        let [velocity, mut rhs] = nodes.read(gpu, solids, fields)?;
+        let Some(rows) = rows_of(&three(&velocity))? else {
+            return Ok(None);
+        };
+        let mut recorder = Recorder::new(gpu);
+        recorder.read(&fields.freedom, freedom);
+        recorder.read(&fields.rotated.words, rotated);
+        recorder.read_part(&solids.masses.words, 0, masses);
+        recorder.submit();
+        let stored = Stored {
+            freedom: freedom.wait(gpu)?,
+            rotated: fields.rotated.widen(&rotated.wait(gpu)?),
+            masses: solids.masses.widen(&masses.wait(gpu)?),
+        };
+        let Some(factor) = self.stiffness.factorise(&stored)? else {
+            return Ok(None);
+        };
+        let rows = unilateral(rows, stored.freedom.len(), &factor);
+        let found = rows.solve(&velocity);
+        let forces = rows.forces(&found.z);
+        rhs.iter_mut()
+            .zip(forces)
+            .for_each(|(rhs, force)| *rhs += force);
+        solids.rhs.upload(gpu, &rhs);
+        Ok(Some([found.pivots, found.wrong]))
+    }
+}
+
+/// Rows held as equations in a solve of the Schur-complement form, and their forces so far.
+#[derive(Debug)]
+pub(super) struct HeldSolve<'a> {
+    rows: HeldRows<'a>,
+    /// Right-hand side without the forces of the rows, N, four numbers per node.
+    rhs: Vec<f64>,
+    /// On the device.
+    on_device: &'a RealBuffer,
+    /// After the last correction, and before it.
+    progress: Mutex<[Progress; 2]>,
+}
+
+#[derive(Clone, Debug)]
+struct Progress {
+    /// lambda of the velocities that the rows lack: until the first correction.
+    lacking: Vec<f64>,
+    lambda: Vec<f64>,
+}
+
+impl<'a> HeldSolve<'a> {
+    /// Before a solve that starts from the velocities `start`, prescribed ones alone; writes the right-hand side.
+    pub(super) fn new(
+        gpu: &Gpu,
+        rows: HeldRows<'a>,
+        start: &[f64],
+        rhs: &[f64],
+        on_device: &'a RealBuffer,
+    ) -> HeldSolve<'a> {
+        let lacking = rows.meeting(start);
+        let progress = Progress {
+            lambda: vec![0.0; lacking.len()],
+            lacking,
+        };
+        on_device.upload(gpu, rhs);
+        HeldSolve {
+            rows,
+            rhs: rhs.to_vec(),
+            on_device,
+            progress: Mutex::new([progress.clone(), progress]),
+        }
+    }
+
+    fn progress(&self) -> std::sync::MutexGuard<'_, [Progress; 2]> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds to S^-1 f what the rows make of it, and returns their lambda. `unit`: what forces and velocities are multiples of.
+    pub(super) fn constrain(&self, forces: &[f64], unit: f64, velocity: &mut [f64]) -> Vec<f64> {
+        let mut lambda = self.rows.cancelling(forces);
+        let lacking = &self.progress()[0].lacking;
+        let sums = lambda.iter_mut().zip(lacking);
+        sums.for_each(|(lambda, lacking)| *lambda += unit * lacking);
+        self.rows.add_velocity(&lambda, velocity);
+        lambda
+    }
+
+    /// Adds the forces of a correction and returns the right-hand side.
+    pub(super) fn advance(&self, gpu: &Gpu, lambda: &[f64], unit: f64) -> Vec<f64> {
+        let mut progress = self.progress();
+        progress[1] = progress[0].clone();
+        let now = &mut progress[0];
+        now.lacking.fill(0.0);
+        let sums = now.lambda.iter_mut().zip(lambda);
+        sums.for_each(|(sum, lambda)| *sum += lambda / unit);
+        self.write(gpu, &now.lambda)
+    }
+
+    /// Takes the forces of a rejected correction back and returns the right-hand side.
+    pub(super) fn revert(&self, gpu: &Gpu) -> Vec<f64> {
+        let mut progress = self.progress();
+        progress[0] = progress[1].clone();
+        self.write(gpu, &progress[0].lambda)
+    }
+
+    fn write(&self, gpu: &Gpu, lambda: &[f64]) -> Vec<f64> {
+        let forces = self.rows.forces(lambda);
+        let sums = self.rhs.iter().zip(forces);
+        let rhs: Vec<f64> = sums.map(|(rhs, force)| rhs + force).collect();
+        self.on_device.upload(gpu, &rhs);
+        rhs
+    }
+
+    /// lambda, N.
+    pub(super) fn lambda(&self) -> Vec<f64> {
+        self.progress()[0].lambda.clone()
+    }
+
+    /// The wet compliance with the rows as equations.
+    pub(super) fn compliance(&self, inverse: &Inverse) -> Vec<f32> {
+        let nodes = inverse.nodes.iter();
+        let components: Vec<usize> = nodes
+            .flat_map(|&node| [0, 1, 2].map(|axis| 4 * node as usize + axis))
+            .collect();
+        let [left, right] = self.rows.correction(&components, inverse.mass);
+        let (n, rank) = (components.len(), left.len() / components.len().max(1));
+        let mut w = inverse.wet.clone();
+        w.par_chunks_exact_mut(n.max(1))
+            .enumerate()
+            .for_each(|(i, column)| {
+                let own = &left[rank * i..rank * (i + 1)];
+                for (j, entry) in column.iter_mut().enumerate() {
+                    let other = &right[rank * j..rank * (j + 1)];
+                    let sum: f64 = own.iter().zip(other).map(|(a, b)| a * b).sum();
+                    *entry = (f64::from(*entry) - sum) as f32;
+                }
+            });
+        w
+    }
+}
+
+/// Velocities of prescribed components alone, four numbers per node.
+pub(super) fn prescribed(factor: &Factor, velocity: &[f64]) -> Vec<f64> {
+    let nodes = factor.projectors().iter().zip(velocity.chunks_exact(4));
+    nodes
+        .flat_map(|(free, v)| {
+            let v = DVec3::from_slice(v);
+            (v - *free * v).extend(0.0).to_array()
+        })
+        .collect()
+}
