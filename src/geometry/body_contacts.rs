@@ -3,6 +3,9 @@
 //! A node has the nearest point of the other surface. Two edges that cross have their nearest points, where these are
 //! local minima of the distance between the surfaces. Edges between nearly coplanar faces have none of their own: nodes
 //! beside faces represent them.
+//!
+//! Continuous collision detection ([`contact_hits`]) finds the nodes that cross faces, and the edges that cross edges, in a motion along
+//! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997).
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -20,6 +23,8 @@ const ENDS: f64 = 1e-3;
 const PARALLEL: f64 = 1e-4;
 /// Distance over reach below which the direction to the nearest point is that of the normal.
 const NO_DIRECTION: f64 = 1e-9;
+/// Halvings of an interval in the search for a root.
+const BISECTIONS: u32 = 50;
 /// Slack of the local minimum: sine of an angle.
 const SLACK: f64 = 1e-2;
 
@@ -81,6 +86,13 @@ impl Skin {
     fn is_near(&self, points: &[DVec3], reach: f64) -> bool {
         let [low, high] = super::bounds(points.iter().copied());
         low.cmple(self.high + reach).all() && high.cmpge(self.low - reach).all()
+    }
+
+    /// Whether a point (m) lies in the body, no deeper than `reach` (m).
+    fn contains(&self, x: DVec3, reach: f64) -> bool {
+        let mesh = &self.mesh;
+        let nearest = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach);
+        nearest.is_some_and(|(nearest, _)| nearest.is_inside)
     }
 
     /// The pair of a node (m) of another body and the nearest point of this surface within `reach` (m).
@@ -153,6 +165,232 @@ pub fn contact_pairs(
     pairs
 }
 
+/// The pairs of different bodies that meet in the motion of all nodes from `positions` along `ways` (both m) and end more than `depth` (m)
+/// behind each other, in the order of their nodes. Gaps are those of the start, along the normals of the meeting. Other arguments as of
+/// [`contact_pairs`].
+pub fn contact_hits(
+    positions: &[DVec3],
+    ways: &[DVec3],
+    triangles: &[[u32; 3]],
+    bodies: &[Range<usize>],
+    depth: f64,
+) -> Vec<ContactPair> {
+    let ends: Vec<DVec3> = positions.iter().zip(ways).map(|(x, way)| x + way).collect();
+    let motion = Motion {
+        positions,
+        ways,
+        ends: &ends,
+        depth,
+    };
+    let swept: Vec<Swept> = (bodies.iter())
+        .map(|body| Swept::new(&motion, &triangles[body.clone()]))
+        .collect();
+    let mut hits = Vec::new();
+    for (number, body) in swept.iter().enumerate() {
+        for (other_number, other) in swept.iter().enumerate() {
+            if other_number == number || !meet(&body.bounds, &other.bounds) {
+                continue;
+            }
+            let nodes = body
+                .nodes
+                .par_iter()
+                .map(|&node| (node, motion.bounds(&[node])));
+            let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
+            hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
+                let faces = other.faces.iter();
+                let faces = faces.filter(move |(_, of_face)| meet(&bounds, of_face));
+                faces.filter_map(move |(face, _)| motion.node_hit(node, *face))
+            }));
+            if number < other_number {
+                let edges = body.edges.par_iter();
+                let edges = edges.filter(|(_, bounds)| meet(bounds, &other.bounds));
+                hits.par_extend(edges.flat_map_iter(|(edge, bounds)| {
+                    let others = other.edges.iter();
+                    let others = others.filter(move |(_, of_other)| meet(bounds, of_other));
+                    others.filter_map(move |(other, _)| motion.edge_hit(edge, other))
+                }));
+            }
+        }
+    }
+    hits.sort_by_cached_key(ContactPair::key);
+    hits
+}
+
+/// A motion along straight lines.
+#[derive(Clone, Copy)]
+struct Motion<'a> {
+    positions: &'a [DVec3],
+    ways: &'a [DVec3],
+    ends: &'a [DVec3],
+    depth: f64,
+}
+
+/// A surface in a motion, with boxes that contain it.
+struct Swept {
+    nodes: Vec<u32>,
+    faces: Vec<([u32; 3], [DVec3; 2])>,
+    /// Sharp edges.
+    edges: Vec<(Edge, [DVec3; 2])>,
+    bounds: [DVec3; 2],
+}
+
+impl Swept {
+    fn new(motion: &Motion, triangles: &[[u32; 3]]) -> Swept {
+        let nodes: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
+        let nodes: Vec<u32> = nodes.into_iter().collect();
+        let edges = sharp_edges(motion.positions, triangles);
+        Swept {
+            bounds: motion.bounds(&nodes),
+            faces: (triangles.iter())
+                .map(|face| (*face, motion.bounds(face)))
+                .collect(),
+            edges: (edges.iter())
+                .map(|edge| (*edge, motion.bounds(&edge.nodes)))
+                .collect(),
+            nodes,
+        }
+    }
+}
+
+/// Whether two boxes have a point in common.
+fn meet(a: &[DVec3; 2], b: &[DVec3; 2]) -> bool {
+    a[0].cmple(b[1]).all() && b[0].cmple(a[1]).all()
+}
+
+impl Motion<'_> {
+    fn bounds(&self, nodes: &[u32]) -> [DVec3; 2] {
+        let ends = nodes
+            .iter()
+            .flat_map(|&node| [self.positions, self.ends].map(|points| points[node as usize]));
+        super::bounds(ends)
+    }
+
+    /// Position at a part of the motion.
+    fn at(&self, node: u32, part: f64) -> DVec3 {
+        self.positions[node as usize] + part * self.ways[node as usize]
+    }
+
+    /// The first part of the motion at which a function, a cubic in it, is 0 and `here` agrees.
+    fn first<T>(&self, cubic: impl Fn(f64) -> f64, here: impl Fn(f64) -> Option<T>) -> Option<T> {
+        roots(cubic).into_iter().find_map(here)
+    }
+
+    /// A node that crosses a face from outside.
+    fn node_hit(&self, node: u32, face: [u32; 3]) -> Option<ContactPair> {
+        let corners = |part: f64| face.map(|corner| self.at(corner, part));
+        let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
+        let volume = |part: f64| {
+            let corners = corners(part);
+            (self.at(node, part) - corners[0]).dot(normal(corners))
+        };
+        if volume(0.0) < 0.0 {
+            return None;
+        }
+        self.first(volume, |part| {
+            let [a, b, c] = corners(part);
+            let x = self.at(node, part);
+            let n = normal([a, b, c]);
+            let area = n.length_squared();
+            let weight = |a: DVec3, b: DVec3| (a - x).cross(b - x).dot(n) / area;
+            let weights = [weight(b, c), weight(c, a), weight(a, b)];
+            let inside = weights.iter().all(|weight| *weight >= -ENDS);
+            let points = face.into_iter().zip(weights.map(|weight| -weight));
+            (area > 0.0 && inside)
+                .then(|| self.pair(points.chain([(node, 1.0)]), n / area.sqrt()))
+                .flatten()
+        })
+    }
+
+    /// Two edges that cross from outside.
+    fn edge_hit(&self, one: &Edge, other: &Edge) -> Option<ContactPair> {
+        let (a, b) = (one.nodes, other.nodes);
+        let ends = |part: f64| [a, b].map(|edge| edge.map(|node| self.at(node, part)));
+        let outwards = other.normals[0] + other.normals[1] - one.normals[0] - one.normals[1];
+        let volume = |part: f64| {
+            let [[a0, a1], [b0, b1]] = ends(part);
+            (b0 - a0).dot((a1 - a0).cross(b1 - b0))
+        };
+        self.first(volume, |part| {
+            let [[a0, a1], [b0, b1]] = ends(part);
+            let (u, v, w) = (a1 - a0, b1 - b0, b0 - a0);
+            let across = u.cross(v);
+            let squared = across.length_squared();
+            if squared <= PARALLEL * u.length_squared() * v.length_squared() {
+                return None;
+            }
+            let (s, t) = (
+                w.cross(v).dot(across) / squared,
+                w.cross(u).dot(across) / squared,
+            );
+            let inside = ENDS..1.0 - ENDS;
+            if !inside.contains(&s) || !inside.contains(&t) {
+                return None;
+            }
+            let points = [(a[0], 1.0 - s), (a[1], s), (b[0], t - 1.0), (b[1], -t)];
+            // The first edge leaves the side from which it came.
+            let before: DVec3 = (points.iter())
+                .map(|&(node, weight)| weight * self.positions[node as usize])
+                .sum();
+            let sign = if before.dot(across) >= 0.0 { 1.0 } else { -1.0 };
+            let normal = sign / squared.sqrt() * across;
+            (normal.dot(outwards) >= 0.0)
+                .then(|| self.pair(points.into_iter(), normal))
+                .flatten()
+        })
+    }
+
+    /// The pair, if the motion ends behind it.
+    fn pair(&self, points: impl Iterator<Item = (u32, f64)>, normal: DVec3) -> Option<ContactPair> {
+        let pair = ContactPair::new(points, normal, 0.0);
+        let along = |of: &[DVec3]| -> f64 {
+            let points = pair.points.iter();
+            points
+                .map(|&(node, weight)| weight * of[node as usize].dot(normal))
+                .sum()
+        };
+        let [gap, end] = [along(self.positions), along(self.ends)];
+        (end < -self.depth).then_some(ContactPair { gap, ..pair })
+    }
+}
+
+/// The roots of a cubic in 0..=1, ascending, between its extrema.
+fn roots(cubic: impl Fn(f64) -> f64) -> Vec<f64> {
+    // a t^3 + b t^2 + c t + d from four values.
+    let [d, f1, f2, f3] = [0.0, 1.0, 0.5, -1.0].map(&cubic);
+    let b = 0.5 * (f1 + f3) - d;
+    // a + c and a / 8 + c / 2.
+    let (sum, half) = (f1 - d - b, f2 - d - 0.25 * b);
+    let a = (half - 0.5 * sum) / (0.125 - 0.5);
+    let c = sum - a;
+    let value = |t: f64| ((a * t + b) * t + c) * t + d;
+    let mut stops = vec![0.0];
+    let discriminant = b * b - 3.0 * a * c;
+    if discriminant >= 0.0 {
+        // Stable where a is small.
+        let q = -(b + b.signum() * discriminant.sqrt());
+        let mut turns = [q / (3.0 * a), c / q];
+        turns.sort_by(f64::total_cmp);
+        stops.extend(turns.into_iter().filter(|t| *t > 0.0 && *t < 1.0));
+    }
+    stops.push(1.0);
+    let brackets = stops.windows(2).filter_map(|pair| {
+        let (mut low, mut high) = (pair[0], pair[1]);
+        let rises = value(low) < 0.0;
+        if (value(high) < 0.0) == rises {
+            return None;
+        }
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (low + high);
+            match (value(middle) < 0.0) == rises {
+                true => low = middle,
+                false => high = middle,
+            }
+        }
+        Some(0.5 * (low + high))
+    });
+    brackets.collect()
+}
+
 /// Edges of a surface whose faces are not coplanar.
 fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let at = |node: u32| positions[node as usize];
@@ -195,20 +433,26 @@ fn edge_pairs(
         edges.iter().filter(near).copied().collect()
     };
     let [ours, theirs] = [near(&skin.edges, other), near(&other.edges, skin)];
+    // Edges that lead back into both bodies do so only where these overlap.
+    let overlap = |x: DVec3| skin.contains(x, reach) && other.contains(x, reach);
     let found = ours.par_iter().flat_map_iter(|a| {
-        let pair = |b: &Edge| edge_pair(ends, a, b, reach);
+        let pair = move |b: &Edge| {
+            let (pair, middle) = edge_pair(ends, a, b, reach)?;
+            (pair.gap >= 0.0 || overlap(middle)).then_some(pair)
+        };
         theirs.iter().filter_map(pair)
     });
     pairs.par_extend(found);
 }
 
-/// The pair of the nearest points of two edges, if they are inside the edges and the surfaces are not nearer beside them.
+/// The pair of the nearest points of two edges and the middle between them, if they are inside the edges and the surfaces are not nearer
+/// beside them.
 fn edge_pair(
     ends: impl Fn(&Edge) -> [DVec3; 2],
     a: &Edge,
     b: &Edge,
     reach: f64,
-) -> Option<ContactPair> {
+) -> Option<(ContactPair, DVec3)> {
     let ([a0, a1], [b0, b1]) = (ends(a), ends(b));
     let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
     let apart = (a0.max(a1) + reach).cmplt(b0.min(b1)).any()
@@ -258,9 +502,6 @@ fn edge_pair(
         (b.nodes[0], t - 1.0),
         (b.nodes[1], -t),
     ];
-    Some(ContactPair::new(
-        points.into_iter(),
-        normal,
-        sign * distance,
-    ))
+    let pair = ContactPair::new(points.into_iter(), normal, sign * distance);
+    Some((pair, b0 + t * v + 0.5 * arm))
 }

@@ -80,14 +80,23 @@ fn held_solution(matrix: &impl Fn(usize, usize) -> f64, q: &[f64], held: &[bool]
     z
 }
 
+/// Relative increases of the diagonal, from small to large, of a matrix that rounding leaves without a factor.
+const SHIFTS: [f64; 6] = [0.0, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7];
+
 /// Factor of a small dense matrix. One thread: results must not depend on their number.
 #[derive(Clone, Debug)]
 pub struct DenseCholesky(Mat<f64>);
 
 impl DenseCholesky {
-    /// Factorises an n x n matrix; `None` where it is not positive definite.
+    /// Factorises an n x n matrix, which rounding may have made singular; `None` where it is far from positive definite.
     pub fn new(n: usize, entry: impl Fn(usize, usize) -> f64) -> Option<DenseCholesky> {
-        let mut matrix = Mat::from_fn(n, n, entry);
+        let mut shifts = SHIFTS.into_iter();
+        shifts.find_map(|shift| DenseCholesky::shifted(n, shift, &entry))
+    }
+
+    fn shifted(n: usize, shift: f64, entry: impl Fn(usize, usize) -> f64) -> Option<DenseCholesky> {
+        let grown = |i: usize, j: usize| entry(i, j) * if i == j { 1.0 + shift } else { 1.0 };
+        let mut matrix = Mat::from_fn(n, n, grown);
         let scratch = factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Default::default());
         let factor = factor::cholesky_in_place(
             matrix.as_mut(),

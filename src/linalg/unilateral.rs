@@ -211,8 +211,9 @@ impl RowSearch {
         &self.held
     }
 
-    /// Exchanges the wrong rows of a solution and returns how many there were, and whether any was exchanged. After four times without
-    /// fewer of them rows are no more let go: then one may pull.
+    /// Exchanges the wrong rows of a solution and returns how many there were, and whether any was exchanged. Rows that pull are wrong where no
+    /// lambda >= 0 of the held rows has the same force: dependent rows share it in any way. After four times without fewer wrong rows none is
+    /// let go any more: then one may pull.
     pub fn exchange(
         &mut self,
         system: &UnilateralRows,
@@ -222,8 +223,13 @@ impl RowSearch {
         let n = system.n();
         let largest = v.iter().fold(0.0, |most, v| f64::max(most, v.abs()));
         let slacks = system.slacks(v);
+        let pulls = |i: usize| lambda[i] * system.matrix[n * i + i] < -TOLERANCE * largest;
+        let let_go = match (0..n).any(|i| self.held[i] && pulls(i)) {
+            true => self.not_pushing(system, lambda, TOLERANCE * largest),
+            false => vec![false; n],
+        };
         let wrong = |&i: &usize| match self.held[i] {
-            true => lambda[i] * system.matrix[n * i + i] < -TOLERANCE * largest,
+            true => let_go[i] && pulls(i),
             false => slacks[i] < -TOLERANCE * largest,
         };
         let wrong: Vec<usize> = (0..n).filter(wrong).collect();
@@ -240,5 +246,28 @@ impl RowSearch {
             }
         }
         (wrong.len(), exchanged)
+    }
+
+    /// Held rows without force in the lambda >= 0 of the held rows whose velocities are nearest to those of `lambda`; none where they are the same
+    /// to a tolerance.
+    fn not_pushing(&self, system: &UnilateralRows, lambda: &[f64], tolerance: f64) -> Vec<bool> {
+        let n = system.n();
+        let rows: Vec<usize> = (0..n).filter(|&i| self.held[i]).collect();
+        let entry = |i: usize, j: usize| system.matrix[n * rows[i] + rows[j]];
+        let products = |of: &dyn Fn(usize) -> f64| -> Vec<f64> {
+            let sum = |i: usize| (0..rows.len()).map(|j| entry(i, j) * of(j)).sum();
+            (0..rows.len()).map(sum).collect()
+        };
+        let wanted = products(&|j| lambda[rows[j]]);
+        let q: Vec<f64> = wanted.iter().map(|w| -w).collect();
+        let pushing = complementarity(entry, &q).z;
+        let reached = products(&|j| pushing[j]);
+        let off = wanted.iter().zip(reached).map(|(a, b)| (a - b).abs());
+        let mut without = vec![false; n];
+        if off.fold(0.0, f64::max) > tolerance {
+            let pairs = rows.iter().zip(pushing);
+            pairs.for_each(|(&row, z)| without[row] = z == 0.0);
+        }
+        without
     }
 }

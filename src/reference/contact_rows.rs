@@ -8,8 +8,13 @@
 //! In liquid F has J^T p, which depends on v. The rows to hold are first those of this problem at the pressure without rows. Then each solve
 //! for pressures and velocities has the held rows as equations, and the wrong ones are exchanged.
 //!
+//! The rows hold at the nearest points of the start. Where bodies still meet in the motion by dt v, the rows of these meetings join, and it is solved
+//! again, at most four times.
+//!
 //! Where bodies overlap, r = 0 instead of -gap / dt: the velocity does not push them out, so that v = 0 remains admissible and
 //! phi, which is 0 at rest, does not grow. Walls and obstacles push nodes out, as they do without contact of solids.
+
+use std::ops::Range;
 
 use glam::DVec3;
 
@@ -20,7 +25,7 @@ use super::solve_coupled::{CoupledSolution, Together};
 use super::solve_solid::SolidSolver;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::contact_pairs;
+use crate::geometry::{ContactPair, contact_hits, contact_pairs};
 use crate::linalg::{Row, RowSearch, UnilateralRows};
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport};
@@ -29,7 +34,11 @@ use crate::state::{ContactReport, SolveReport};
 const REACH: f64 = 2.0;
 /// And at least this, in cells.
 const LEAST_REACH: f64 = 0.05;
-/// Largest number of coupled solves of a sub-step.
+/// Depth behind each other at the end of a motion that counts as a meeting, cells.
+const DEPTH: f64 = 1e-3;
+/// Largest number of solves with rows of meetings that the rows before missed.
+pub const MOST_MEETINGS: u32 = 4;
+/// Largest number of coupled solves of a sub-step with the same rows.
 pub const MOST_COUPLED: u32 = 12;
 
 /// The bodies and surfaces that may touch in a sub-step.
@@ -48,29 +57,66 @@ pub struct Touching<'a> {
 }
 
 impl Touching<'_> {
-    /// The rows of all contacts in reach of nodes with these velocities, m/s, three numbers per node; `None` where the velocities meet them.
-    pub fn rows(&self, velocity: &[f64]) -> Option<Vec<Row>> {
+    /// The rows of all contacts in reach of nodes with these velocities (m/s, three numbers per node), and of those that bodies still make; `None`
+    /// where the velocities meet all rows. `known`: rows so far.
+    pub fn rows(&self, velocity: &[f64], known: &[Row]) -> Option<Vec<Row>> {
+        let mut rows = match known {
+            [] => self.near(velocity),
+            known => known.to_vec(),
+        };
+        let met = !known.is_empty() || rows.iter().all(|row| row.slack(velocity) >= 0.0);
+        if met {
+            let hits = self.hits(velocity);
+            if hits.is_empty() {
+                return None;
+            }
+            rows.extend(hits);
+        }
+        Some(rows)
+    }
+
+    /// The rows of points in reach.
+    fn near(&self, velocity: &[f64]) -> Vec<Row> {
         let (nodes, _) = velocity.as_chunks::<3>();
         let speeds = nodes.iter().map(|v| DVec3::from(*v).length());
         let reach = (REACH * self.dt * speeds.fold(0.0, f64::max)).max(LEAST_REACH * self.dx);
         let mut rows = self.contacts.rows(reach);
-        let Solids {
-            bodies, triangles, ..
-        } = self.solids;
-        let bodies: Vec<_> = bodies.iter().map(|body| body.triangles.clone()).collect();
-        for pair in contact_pairs(self.positions, triangles, &bodies, reach) {
-            let points = pair.points.iter();
-            let entries = points.flat_map(|&(node, weight)| {
-                let n = (weight * pair.normal).to_array().into_iter().enumerate();
-                n.map(move |(axis, n)| (3 * node as usize + axis, n))
-            });
-            rows.push(Row {
-                entries: entries.collect(),
-                least: -pair.gap.max(0.0) / self.dt,
-            });
+        let triangles = &self.solids.triangles;
+        let pairs = contact_pairs(self.positions, triangles, &self.bodies(), reach);
+        rows.extend(pairs.iter().filter_map(|pair| self.row(pair)));
+        rows
+    }
+
+    /// The rows of points that meet in the motion by dt times the velocities.
+    fn hits(&self, velocity: &[f64]) -> Vec<Row> {
+        let (nodes, _) = velocity.as_chunks::<3>();
+        let ways: Vec<DVec3> = nodes.iter().map(|v| self.dt * DVec3::from(*v)).collect();
+        let triangles = &self.solids.triangles;
+        let depth = DEPTH * self.dx;
+        let pairs = contact_hits(self.positions, &ways, triangles, &self.bodies(), depth);
+        pairs.iter().filter_map(|pair| self.row(pair)).collect()
+    }
+
+    fn bodies(&self) -> Vec<Range<usize>> {
+        let bodies = self.solids.bodies.iter();
+        bodies.map(|body| body.triangles.clone()).collect()
+    }
+
+    /// The row of a pair; `None` where all its nodes are prescribed.
+    fn row(&self, pair: &ContactPair) -> Option<Row> {
+        let prescribed = |node: u32| self.solids.prescribed[node as usize] == [true; 3];
+        if pair.points.iter().all(|&(node, _)| prescribed(node)) {
+            return None;
         }
-        let met = rows.iter().all(|row| row.slack(velocity) >= 0.0);
-        (!met).then_some(rows)
+        let points = pair.points.iter();
+        let entries = points.flat_map(|&(node, weight)| {
+            let n = (weight * pair.normal).to_array().into_iter().enumerate();
+            n.map(move |(axis, n)| (3 * node as usize + axis, n))
+        });
+        Some(Row {
+            entries: entries.collect(),
+            least: -pair.gap.max(0.0) / self.dt,
+        })
     }
 }
 
@@ -113,21 +159,36 @@ pub(super) fn solve_in_rows(
         solves: 1,
         unsettled: 0,
     };
-    let Some(rows) = touching.rows(free.as_flattened()) else {
-        return Ok((free, report, none));
-    };
-    let Some(rows) = unilateral(solver, system, rows)? else {
-        return Ok((free, report, none));
-    };
-    let found = rows.solve(free.as_flattened());
-    system.push(&rows.forces(&found.z));
-    let (velocity, mut under) = solver.solve(touching.solids, system, settings)?;
-    under.iterations += report.iterations;
-    let report = ContactReport {
-        solves: found.pivots,
-        unsettled: found.wrong,
-    };
-    Ok((velocity, under, report))
+    let without = system.clone();
+    let mut known = Vec::new();
+    let mut solved = (free.clone(), report, none);
+    for meetings in 0.. {
+        let Some(rows) = touching.rows(solved.0.as_flattened(), &known) else {
+            break;
+        };
+        if meetings > MOST_MEETINGS {
+            solved.2.unsettled += (rows.len() - known.len()) as u32;
+            break;
+        }
+        known.clone_from(&rows);
+        let Some(rows) = unilateral(solver, &without, rows)? else {
+            break;
+        };
+        let found = rows.solve(free.as_flattened());
+        system.clone_from(&without);
+        system.push(&rows.forces(&found.z));
+        let (velocity, mut report) = solver.solve(touching.solids, system, settings)?;
+        report.iterations += solved.1.iterations;
+        let mut contact = ContactReport {
+            solves: found.pivots,
+            unsettled: found.wrong,
+        };
+        if meetings > 0 {
+            contact.solves += solved.2.solves;
+        }
+        solved = (velocity, report, contact);
+    }
+    Ok(solved)
 }
 
 /// Pressures and velocities under the rows of `touching`; `together` without them. Returns the last system, with the contact forces, and its
@@ -145,29 +206,42 @@ pub(super) fn solve_coupled_in_rows(
         solves: 1,
         unsettled: 0,
     };
-    let found_all = solution.reports[0].status.is_best_attainable();
-    let rows = touching.rows(solution.velocity.as_flattened());
-    let Some(rows) = rows.filter(|_| found_all) else {
-        return Ok((system, solution, report));
-    };
-    let Some(rows) = unilateral(together.solver, solid, rows)? else {
-        return Ok((system, solution, report));
-    };
-    let mut search = RowSearch::new(&rows, solution.velocity.as_flattened());
+    let free = solution.velocity.as_flattened().to_vec();
+    let mut known = Vec::new();
     let mut best = (system, solution);
-    while let Some(held) = rows.hold(search.held()) {
-        let (mut system, solution) = together.solve(solid, Some(&held))?;
-        report.solves += 1;
-        let v = solution.velocity.as_flattened();
-        // G_F S^-1 (F + J^T p - S v) is what the rows lack at this pressure.
-        let lambda = held.cancelling(&system.unbalanced(&solution));
-        system.push(&held.forces(&lambda));
-        let found_all = solution.reports[0].status.is_best_attainable();
-        let (wrong, exchanged) = search.exchange(&rows, &lambda, v);
-        report.unsettled = wrong as u32;
-        best = (system, solution);
-        if !exchanged || !found_all || report.solves == MOST_COUPLED {
+    for meetings in 0.. {
+        let found_all = best.1.reports[0].status.is_best_attainable();
+        let rows = touching.rows(best.1.velocity.as_flattened(), &known);
+        let Some(rows) = rows.filter(|_| found_all) else {
             break;
+        };
+        if meetings > MOST_MEETINGS {
+            report.unsettled += (rows.len() - known.len()) as u32;
+            break;
+        }
+        known.clone_from(&rows);
+        let Some(rows) = unilateral(together.solver, solid, rows)? else {
+            break;
+        };
+        let mut search = RowSearch::new(&rows, &free);
+        for _ in 0..MOST_COUPLED {
+            let Some(held) = rows.hold(search.held()) else {
+                report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
+                break;
+            };
+            let (mut system, solution) = together.solve(solid, Some(&held))?;
+            report.solves += 1;
+            let v = solution.velocity.as_flattened();
+            // G_F S^-1 (F + J^T p - S v) is what the rows lack at this pressure.
+            let lambda = held.cancelling(&system.unbalanced(&solution));
+            system.push(&held.forces(&lambda));
+            let found_all = solution.reports[0].status.is_best_attainable();
+            let (wrong, exchanged) = search.exchange(&rows, &lambda, v);
+            report.unsettled = wrong as u32;
+            best = (system, solution);
+            if !exchanged || !found_all {
+                break;
+            }
         }
     }
     let (system, solution) = best;

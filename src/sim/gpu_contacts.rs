@@ -96,13 +96,13 @@ impl GpuContacts {
         Ok(buffers.displacement_of(&displacement.wait(gpu)?))
     }
 
-    /// The rows for velocities (m/s, three numbers per node), with the displacements (m) of the sub-step.
+    /// The rows for velocities (m/s, three numbers per node) and rows so far, with the displacements (m) of the sub-step.
     pub(super) fn rows(
         &self,
         solids: &Solids,
         dx: f64,
         displacement: &[[f64; 3]],
-        velocity: &[f64],
+        (velocity, known): (&[f64], &[Row]),
     ) -> Option<Vec<Row>> {
         let active = vec![ActiveSurfaces::default(); displacement.len()];
         let contacts = Contacts::holding(solids, &self.field, displacement, &active, self.dt);
@@ -114,6 +114,6 @@ impl GpuContacts {
             dt: self.dt,
             dx,
         };
-        touching.rows(velocity)
+        touching.rows(velocity, known)
     }
 }

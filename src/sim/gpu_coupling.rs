@@ -12,7 +12,8 @@ use crate::fields::{
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
-use crate::reference::MOST_COUPLED;
+use crate::linalg::Row;
+use crate::reference::{MOST_COUPLED, MOST_MEETINGS};
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{CoupledFields, CoupledSolver, Outcome, RowsOf, Weak, WeakBuffers};
 use crate::stages;
@@ -497,10 +498,11 @@ impl GpuCoupling {
         if let Some(contacts) = &solids.contacts {
             let at = coupled((&liquid.buffers, &liquid.solver), solids, &self.buffers);
             let dx = solids.buffers.plan.grid.dx;
-            let mut rows =
-                |velocity: &[f64]| Ok(contacts.rows(&solids.solids, dx, displacement, velocity));
+            let mut rows = |velocity: &[f64], known: &[Row]| {
+                Ok(contacts.rows(&solids.solids, dx, displacement, (velocity, known)))
+            };
             let (polynomial, recorder) = (solids.polynomial(dt), Recorder::timed(gpu));
-            let rows_of = (&mut rows as RowsOf, MOST_COUPLED);
+            let rows_of = (&mut rows as RowsOf, [MOST_MEETINGS, MOST_COUPLED]);
             let (outcome, contact, times) =
                 together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
             let solved = Solved {

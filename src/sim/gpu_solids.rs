@@ -9,10 +9,12 @@ use crate::fields::{
 };
 use crate::geometry::{ContactField, ObstacleCut};
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
-use crate::reference::{MAX_SOLVES, MOST_HALVINGS};
+use crate::linalg::Row;
+use crate::reference::{MAX_SOLVES, MOST_HALVINGS, MOST_MEETINGS};
 use crate::scene::Scene;
 use crate::solver::{
-    ContactSearch, ObstacleField, Outcome, Polynomial, SolidSolver, SolidSystem, check_contact,
+    ContactSearch, ObstacleField, Outcome, Polynomial, RowsOf, SolidSolver, SolidSystem,
+    check_contact,
 };
 use crate::stages;
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
@@ -276,14 +278,15 @@ impl GpuSolids {
             ..
         } = self;
         if let Some(contacts) = &self.contacts {
-            let mut rows = |velocity: &[f64]| {
+            let mut rows = |velocity: &[f64], known: &[Row]| {
                 let displacement = contacts.displacement(gpu, buffers)?;
                 let dx = buffers.plan.grid.dx;
-                Ok(contacts.rows(&self.solids, dx, &displacement, velocity))
+                Ok(contacts.rows(&self.solids, dx, &displacement, (velocity, known)))
             };
             let with = (system, buffers);
+            let rows_of = (&mut rows as RowsOf, MOST_MEETINGS);
             let solver = &stages.solve;
-            return solver.solve_in_rows(gpu, recorder, with, polynomial, &mut rows);
+            return solver.solve_in_rows(gpu, recorder, with, polynomial, rows_of);
         }
         let mut iterations = 0;
         let solve = |recorder, _| {

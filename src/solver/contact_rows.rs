@@ -21,8 +21,8 @@ use crate::scene::{Formulation, Solver};
 
 use super::schur::{MOST_COMPONENTS, MOST_WETTED, refines};
 
-/// Makes the rows for velocities, m/s, three numbers per node; `None` where these meet all rows.
-pub type RowsOf<'a> = &'a mut dyn FnMut(&[f64]) -> Result<Option<Vec<Row>>, Error>;
+/// Makes the rows for velocities (m/s, three numbers per node) and rows so far; `None` where the velocities meet all rows.
+pub type RowsOf<'a> = &'a mut dyn FnMut(&[f64], &[Row]) -> Result<Option<Vec<Row>>, Error>;
 
 /// Refuses contact of solids that are too large for the host's factor, or a solve without f64.
 ///
@@ -128,6 +128,14 @@ pub(super) struct DrySystem {
     readbacks: Mutex<DryReadbacks>,
 }
 
+/// Rows so far, and the first solve without them: velocities, m/s, and right-hand side, N, four numbers per node.
+#[derive(Debug)]
+pub(super) struct DryProgress {
+    rows: Vec<Row>,
+    velocity: Vec<f64>,
+    rhs: Vec<f64>,
+}
+
 #[derive(Debug)]
 struct DryReadbacks {
     nodes: NodeReadbacks,
@@ -155,14 +163,14 @@ impl DrySystem {
         })
     }
 
-    /// After a solve without rows: writes the forces of the rows to the right-hand side. `None` where the velocities meet them all; else
-    /// exchanges of the pivoting, and rows that it left wrong.
+    /// After a solve: writes the forces of the rows to the right-hand side. `None` where the velocities meet them all; else exchanges of the
+    /// pivoting, and rows that it left wrong; `last`: no more solve follows, and rows that joined are all wrong.
     pub(super) fn push(
         &self,
         gpu: &Gpu,
-        solids: &SolidSystemBuffers,
-        fields: &SolidBuffers,
+        (solids, fields): (&SolidSystemBuffers, &SolidBuffers),
         rows_of: RowsOf,
+        (progress, last): (&mut Option<DryProgress>, bool),
     ) -> Result<Option<[u32; 2]>, Error> {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut readbacks = self
@@ -175,10 +183,26 @@ impl DrySystem {
             rotated,
             masses,
         } = &mut *readbacks;
-        let [velocity, mut rhs] = nodes.read(gpu, solids, fields)?;
-        let Some(rows) = rows_of(&three(&velocity))? else {
+        let [velocity, rhs] = nodes.read(gpu, solids, fields)?;
+        let known = progress.as_ref().map_or(&[][..], |before| &before.rows);
+        let Some(rows) = rows_of(&three(&velocity), known)? else {
             return Ok(None);
         };
+        if last {
+            return Ok(Some([0, (rows.len() - known.len()) as u32]));
+        }
+        let DryProgress {
+            velocity, mut rhs, ..
+        } = progress.take().unwrap_or(DryProgress {
+            rows: Vec::new(),
+            velocity,
+            rhs,
+        });
+        *progress = Some(DryProgress {
+            rows: rows.clone(),
+            velocity: velocity.clone(),
+            rhs: rhs.clone(),
+        });
         let mut recorder = Recorder::new(gpu);
         recorder.read(&fields.freedom, freedom);
         recorder.read(&fields.rotated.words, rotated);

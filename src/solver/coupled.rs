@@ -342,14 +342,15 @@ impl CoupledSolver {
         self.outer.tolerance()
     }
 
-    /// The same under the rows of solids that touch each other, with at most `most` solves (twin: reference/contact_rows.rs).
+    /// The same under the rows of solids that touch each other, which join at most `meetings` times more, with at most `most` solves each time
+    /// (twin: reference/contact_rows.rs).
     pub fn solve_in_rows(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
         at: CoupledFields,
         polynomial: &Polynomial,
-        (rows_of, most): (RowsOf, u32),
+        (rows_of, [meetings, most]): (RowsOf, [u32; 2]),
     ) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
         let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
         let (mut outcome, mut stages) = self.solve_form(gpu, recorder, &form, false, None)?;
@@ -366,30 +367,42 @@ impl CoupledSolver {
         };
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut nodes = nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        let [velocity, rhs] = nodes.read(gpu, at.solids, at.fields)?;
-        let rows = rows_of(&contact_rows::three(&velocity))?;
-        let Some(rows) = rows.filter(|_| outcome.status.is_best_attainable()) else {
-            return Ok((outcome, report, times));
-        };
-        let rows = contact_rows::unilateral(rows, at.coupling.n_nodes, &inverse.factor);
-        let start = contact_rows::prescribed(&inverse.factor, &velocity);
-        let mut search = RowSearch::new(&rows, &velocity);
-        while let Some(held) = rows.hold(search.held()) {
-            let held = HeldSolve::new(gpu, held, &start, &rhs, &at.solids.rhs);
-            schur.hold(gpu, inverse, &held);
-            let recorder = Recorder::timed(gpu);
-            let (next, mut stages) = self.solve_form(gpu, recorder, &form, true, Some(&held))?;
-            times.append(&mut stages);
-            outcome = CoupledOutcome {
-                iterations: outcome.iterations + next.iterations,
-                ..next
-            };
-            report.solves += 1;
-            let [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
-            let (wrong, exchanged) = search.exchange(&rows, &held.lambda(), &velocity);
-            report.unsettled = wrong as u32;
-            if !exchanged || !outcome.status.is_best_attainable() || report.solves == most {
+        let [free, rhs] = nodes.read(gpu, at.solids, at.fields)?;
+        let start = contact_rows::prescribed(&inverse.factor, &free);
+        let (mut velocity, mut known) = (free.clone(), Vec::new());
+        for meeting in 0.. {
+            let rows = rows_of(&contact_rows::three(&velocity), &known)?;
+            let Some(rows) = rows.filter(|_| outcome.status.is_best_attainable()) else {
                 break;
+            };
+            if meeting > meetings {
+                report.unsettled += (rows.len() - known.len()) as u32;
+                break;
+            }
+            known.clone_from(&rows);
+            let rows = contact_rows::unilateral(rows, at.coupling.n_nodes, &inverse.factor);
+            let mut search = RowSearch::new(&rows, &free);
+            for _ in 0..most {
+                let Some(held) = rows.hold(search.held()) else {
+                    report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
+                    break;
+                };
+                let held = HeldSolve::new(gpu, held, &start, &rhs, &at.solids.rhs);
+                schur.hold(gpu, inverse, &held);
+                let recorder = Recorder::timed(gpu);
+                let (next, mut stages) = self.solve_form(gpu, recorder, &form, true, Some(&held))?;
+                times.append(&mut stages);
+                outcome = CoupledOutcome {
+                    iterations: outcome.iterations + next.iterations,
+                    ..next
+                };
+                report.solves += 1;
+                [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
+                let (wrong, exchanged) = search.exchange(&rows, &held.lambda(), &velocity);
+                report.unsettled = wrong as u32;
+                if !exchanged || !outcome.status.is_best_attainable() {
+                    break;
+                }
             }
         }
         Ok((outcome, report, times))

@@ -86,32 +86,44 @@ impl SolidSolver {
         Ok((outcomes[0], times))
     }
 
-    /// The same under the rows of solids that touch each other (twin: reference/contact_rows.rs).
+    /// The same under the rows of solids that touch each other, which join at most `most` times more (twin: reference/contact_rows.rs).
     pub fn solve_in_rows(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
         (buffers, fields): (&SolidSystemBuffers, &SolidBuffers),
         polynomial: &Polynomial,
-        rows_of: RowsOf,
+        (rows_of, most): (RowsOf, u32),
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
-        let (free, mut times) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
+        let (mut outcome, mut times) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
         let mut report = ContactReport {
             solves: 1,
             unsettled: 0,
         };
-        let pushed = match &self.rows {
-            Some(rows) => rows.push(gpu, buffers, fields, rows_of)?,
-            None => None,
+        let Some(rows) = &self.rows else {
+            return Ok((outcome, report, times));
         };
-        let Some([solves, unsettled]) = pushed else {
-            return Ok((free, report, times));
-        };
-        report = ContactReport { solves, unsettled };
-        let recorder = Recorder::timed(gpu);
-        let (mut outcome, mut stages) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
-        times.append(&mut stages);
-        outcome.iterations += free.iterations;
+        let mut progress = None;
+        for meeting in 0.. {
+            let last = meeting > most;
+            let pushed = rows.push(gpu, (buffers, fields), rows_of, (&mut progress, last))?;
+            let Some([solves, unsettled]) = pushed else {
+                break;
+            };
+            if last {
+                report.unsettled += unsettled;
+                break;
+            }
+            report.solves = solves + if meeting > 0 { report.solves } else { 0 };
+            report.unsettled = unsettled;
+            let recorder = Recorder::timed(gpu);
+            let (next, mut stages) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
+            times.append(&mut stages);
+            outcome = Outcome {
+                iterations: outcome.iterations + next.iterations,
+                ..next
+            };
+        }
         Ok((outcome, report, times))
     }
 

@@ -1,6 +1,6 @@
 //! Solids that touch each other (`solver.solid_contact`), on the f64 path.
 
-use cutwater::geometry::obstacle_cut;
+use cutwater::geometry::{contact_hits, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{Placement, Scene, Solid, SolidMesh};
@@ -179,6 +179,128 @@ fn thrown_bodies_bounce_off_each_other() {
         // A row holds for the nearest points at the start of a sub-step. Soft bodies crush each other in it: an element is 0.06 to 0.1 m.
         let allowed = if young < 1e5 { 0.025 } else { 0.01 };
         assert!(overlap <= allowed, "{what}: {overlap} m deep");
+    }
+}
+
+/// Bodies that move by most of their size in a sub-step do not pass through each other.
+#[test]
+fn fast_bodies_do_not_pass() {
+    let mut random = Random(5);
+    for case in 0..12 {
+        let mut thrown = |x: f64, speed: f64| {
+            let mesh = match random.bits() % 2 {
+                0 => SolidMesh::Sphere {
+                    radius: 0.12,
+                    cell_size: 0.06,
+                },
+                _ => SolidMesh::Box {
+                    size: DVec3::new(0.2, 0.15, 0.2),
+                    cells: [2, 2, 2],
+                },
+            };
+            let mut any = || DVec3::from([(); 3].map(|()| random.uniform(-1.0, 1.0)));
+            let (axis, shift) = (any().normalize(), 0.05 * any());
+            let mut solid = body(mesh);
+            solid.placement = Placement {
+                translate: DVec3::new(x, 2.0, 2.0) + shift,
+                rotate: DMat3::from_axis_angle(axis, 2.0),
+                ..Placement::default()
+            };
+            solid.young = 1e8;
+            solid.initial.velocity = speed * DVec3::X;
+            solid
+        };
+        let bodies = vec![thrown(1.6, 20.0), thrown(2.4, -20.0)];
+        // 0.17 m each in a sub-step.
+        let samples = run(bodies, 0.0, 1.0 / 120.0, 8);
+        let overlap = samples
+            .iter()
+            .map(|sample| sample.overlap)
+            .fold(0.0, f64::max);
+        let [first, last] = [&samples[0], samples.last().unwrap()];
+        println!("case {case}: overlap {overlap:.5} m");
+        // An element is 0.06 to 0.1 m, and the impact changes its shape by v / c = 0.06 of that.
+        assert!(overlap <= 0.01, "case {case}: {overlap} m deep");
+        assert!(
+            last.momentum[0].x < 0.6 * first.momentum[0].x,
+            "case {case}: they met"
+        );
+        // Backward Euler damps the waves of the impact within these sub-steps: they may stay together.
+        let approach = last.momentum[0].x - last.momentum[1].x;
+        assert!(
+            approach <= 1e-3 * first.momentum[0].x,
+            "case {case}: they do not go on"
+        );
+    }
+}
+
+/// A node that crosses a face and an edge that crosses an edge are found, with the gap of the start; what leaves, passes beside or stays is not.
+#[test]
+fn motions_through_surfaces_are_found() {
+    // Two tetrahedra, the second with a face in the plane y = 0 and the first with a corner, or an edge, above it.
+    let base = [
+        DVec3::new(-1.0, 0.0, -1.0),
+        DVec3::new(1.0, 0.0, -1.0),
+        DVec3::new(0.0, 0.0, 1.5),
+        DVec3::new(0.0, -1.0, 0.0),
+    ];
+    let corner = [
+        DVec3::new(0.0, 0.1, 0.0),
+        DVec3::new(-1.0, 2.0, -1.0),
+        DVec3::new(1.0, 2.0, -1.0),
+        DVec3::new(0.0, 2.0, 1.5),
+    ];
+    let faces = |first: u32, points: &[DVec3]| -> Vec<[u32; 3]> {
+        let middle = points.iter().sum::<DVec3>() / 4.0;
+        let corners = [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]];
+        let outwards = |&[a, b, c]: &[usize; 3]| {
+            let normal = (points[b] - points[a]).cross(points[c] - points[a]);
+            let turned = normal.dot(points[a] - middle) < 0.0;
+            [a, if turned { c } else { b }, if turned { b } else { c }]
+        };
+        let faces = corners.iter().map(outwards);
+        faces
+            .map(|face| face.map(|corner| first + corner as u32))
+            .collect()
+    };
+    let hits = |moving: &[DVec3], way: DVec3| {
+        let positions = [moving, &base].concat();
+        let triangles = [faces(0, moving), faces(4, &base)].concat();
+        let ways: Vec<DVec3> = (0..8)
+            .map(|node| if node < 4 { way } else { DVec3::ZERO })
+            .collect();
+        contact_hits(&positions, &ways, &triangles, &[0..4, 4..8], 1e-9)
+    };
+    let down = hits(&corner, DVec3::new(0.0, -0.3, 0.0));
+    assert_eq!(down.len(), 1, "{down:?}");
+    assert!(down[0].points.contains(&(0, 1.0)) && down[0].points.len() == 4);
+    assert!((down[0].gap - 0.1).abs() < 1e-12 && down[0].normal.distance(DVec3::Y) < 1e-12);
+    for way in [
+        DVec3::Y,
+        DVec3::new(0.0, -0.05, 0.0),
+        DVec3::new(5.0, -0.3, 0.0),
+        DVec3::ZERO,
+    ] {
+        assert_eq!(hits(&corner, way), [], "{way}");
+    }
+    // An edge along z comes down on the face's edge along x, beyond whose ends it reaches.
+    let edge = [
+        DVec3::new(0.1, 0.2, -2.0),
+        DVec3::new(0.1, 0.2, -0.5),
+        DVec3::new(0.0, 2.0, -1.0),
+        DVec3::new(1.0, 2.0, -1.2),
+    ];
+    let crossed = hits(&edge, DVec3::new(0.0, -0.4, 0.0));
+    let pairs: Vec<Vec<u32>> = (crossed.iter())
+        .map(|pair| pair.points.iter().map(|point| point.0).collect())
+        .collect();
+    assert!(pairs.contains(&vec![0, 1, 4, 5]), "{crossed:?}");
+    for pair in &crossed {
+        let sum: f64 = pair.points.iter().map(|point| point.1).sum();
+        assert!(
+            sum.abs() < 1e-12 && (pair.gap - 0.2).abs() < 1e-9,
+            "{pair:?}"
+        );
     }
 }
 
