@@ -492,8 +492,7 @@ impl GpuCoupling {
         (liquid, solids): (&mut GpuLiquid, &GpuSolids),
         SolidReadbacks { answer, .. }: &mut SolidReadbacks,
         (step, dt): (SolidStep, f64),
-        touch: ContactState,
-        displacement: &[[f64; 3]],
+        (touch, displacement): (ContactState, &[[f64; 3]]),
     ) -> Result<(Solved, StageTimes), Error> {
         if let Some(contacts) = &solids.contacts {
             let at = coupled((&liquid.buffers, &liquid.solver), solids, &self.buffers);

@@ -348,8 +348,7 @@ impl SubStep<'_, '_> {
             (liquid, solids),
             solid_readbacks,
             (step, self.dt),
-            touch,
-            &self.moved,
+            (touch, &self.moved),
         )?;
         self.readback.seconds.append(&mut seconds);
         let [pressure, velocity] = solved.parts;
