@@ -13,7 +13,7 @@ use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
 
 use crate::cli::{complains, cutwater, ends, folder, text};
-use crate::common::{assert_has, gpu, project_scene as scene, scene_from};
+use crate::common::{gpu, project_scene as scene, scene_from};
 use crate::reference_physics::{pool, scene as written};
 
 const SCENES: [(&str, f64); 7] = [
