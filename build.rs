@@ -6,14 +6,7 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 /// All that decides what the program computes, of which the embedded scenes are a part.
-const SOURCES: [&str; 6] = [
-    "Cargo.lock",
-    "Cargo.toml",
-    "build.rs",
-    "scenes",
-    "shaders",
-    "src",
-];
+const SOURCES: [&str; 6] = ["Cargo.lock", "Cargo.toml", "build.rs", "scenes", "shaders", "src"];
 
 fn main() {
     let mut files = Vec::new();
@@ -31,10 +24,7 @@ fn main() {
         digest.update(content);
     }
     let digest = digest.finalize();
-    let first: String = digest[..6]
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
+    let first: String = digest[..6].iter().map(|byte| format!("{byte:02x}")).collect();
     println!("cargo:rustc-env=CUTWATER_SOURCES={first}");
 }
 

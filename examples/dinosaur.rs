@@ -77,9 +77,7 @@ impl Limb {
     fn value(&self, x: DVec3) -> f64 {
         let [from, to] = [self.from, self.to].map(DVec3::from_array);
         let along = ((x - from).dot(to - from) / from.distance_squared(to)).clamp(0.0, 1.0);
-        x.distance(from + along * (to - from))
-            - self.radii[0]
-            - along * (self.radii[1] - self.radii[0])
+        x.distance(from + along * (to - from)) - self.radii[0] - along * (self.radii[1] - self.radii[0])
     }
 }
 
@@ -103,12 +101,9 @@ fn value(x: DVec3) -> f64 {
 
 /// The surface of the shape by marching tetrahedra: six in each cell of the grid, its value linear between nodes.
 fn surface() -> Surface {
-    let node = |at: [usize; 3]| {
-        DVec3::from_array([0, 1, 2].map(|axis| LOW[axis] + GRID * at[axis] as f64))
-    };
+    let node = |at: [usize; 3]| DVec3::from_array([0, 1, 2].map(|axis| LOW[axis] + GRID * at[axis] as f64));
     let number = |at: [usize; 3]| at[0] + (CELLS[0] + 1) * (at[1] + (CELLS[1] + 1) * at[2]);
-    let places = (0..=CELLS[2])
-        .flat_map(|k| (0..=CELLS[1]).flat_map(move |j| (0..=CELLS[0]).map(move |i| [i, j, k])));
+    let places = (0..=CELLS[2]).flat_map(|k| (0..=CELLS[1]).flat_map(move |j| (0..=CELLS[0]).map(move |i| [i, j, k])));
     let values: Vec<f64> = places.map(|at| value(node(at))).collect();
     let mut surface = Surface::default();
     let mut vertices = BTreeMap::new();
@@ -151,32 +146,21 @@ fn surface() -> Surface {
                     match of(true).count() {
                         1 => {
                             let tip = of(true).next().unwrap_or_default();
-                            triangles
-                                .push(FACES[tip].map(|other| vertex(corners[tip], corners[other])));
+                            triangles.push(FACES[tip].map(|other| vertex(corners[tip], corners[other])));
                         }
                         2 => {
                             let pair: Vec<usize> = of(true).collect();
                             // The face of one inner corner turns around the other: behind it come both outer ones.
                             let around = FACES[pair[0]];
-                            let at = around
-                                .iter()
-                                .position(|&c| c == pair[1])
-                                .unwrap_or_default();
+                            let at = around.iter().position(|&c| c == pair[1]).unwrap_or_default();
                             let (next, last) = (around[(at + 1) % 3], around[(at + 2) % 3]);
-                            let quad = [
-                                (pair[0], next),
-                                (pair[0], last),
-                                (pair[1], last),
-                                (pair[1], next),
-                            ]
-                            .map(|(a, b)| vertex(corners[a], corners[b]));
-                            triangles
-                                .extend([[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
+                            let quad = [(pair[0], next), (pair[0], last), (pair[1], last), (pair[1], next)]
+                                .map(|(a, b)| vertex(corners[a], corners[b]));
+                            triangles.extend([[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
                         }
                         3 => {
                             let tip = of(false).next().unwrap_or_default();
-                            let [a, b, c] =
-                                FACES[tip].map(|other| vertex(corners[other], corners[tip]));
+                            let [a, b, c] = FACES[tip].map(|other| vertex(corners[other], corners[tip]));
                             triangles.push([a, c, b]);
                         }
                         _ => {}

@@ -199,10 +199,7 @@ fn separation(scene: &Scene) -> Separation {
 }
 
 fn controls_volume(scene: &Scene) -> bool {
-    scene
-        .liquid
-        .as_ref()
-        .is_some_and(|liquid| liquid.volume_control)
+    scene.liquid.as_ref().is_some_and(|liquid| liquid.volume_control)
 }
 
 fn count(n: usize, of: &str) -> String {

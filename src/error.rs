@@ -126,56 +126,34 @@ impl Error {
 
     /// An [`Error::Output`] of a file or folder.
     pub fn output(path: &Path, problem: impl std::fmt::Display) -> Error {
-        Error::Output {
-            path: path.to_owned(),
-            problem: problem.to_string(),
-            cure: WRITABLE_FOLDER,
-        }
+        Error::Output { path: path.to_owned(), problem: problem.to_string(), cure: WRITABLE_FOLDER }
     }
 
     /// An [`Error::Output`] from an error of the system.
     pub fn unwritten(path: &Path, problem: &io::Error) -> Error {
         let cure = match problem.kind() {
             ErrorKind::StorageFull => "make room on that disk, or choose a folder on another",
-            ErrorKind::QuotaExceeded => {
-                "remove files of yours from that disk, or choose a folder on another"
-            }
+            ErrorKind::QuotaExceeded => "remove files of yours from that disk, or choose a folder on another",
             ErrorKind::FileTooLarge => "raise the limit for file sizes (`ulimit -f unlimited`)",
             ErrorKind::InvalidFilename => {
                 "use a shorter name for the scene file or the folder: the file system limits names"
             }
             _ => WRITABLE_FOLDER,
         };
-        Error::Output {
-            path: path.to_owned(),
-            problem: problem.to_string(),
-            cure,
-        }
+        Error::Output { path: path.to_owned(), problem: problem.to_string(), cure }
     }
 
     /// Prefixes an [`Error::Input`] with the place that names the file.
     pub fn within(self, place: &str) -> Error {
         match self {
-            Error::Input {
-                what,
-                problem,
-                cure,
-            } => Error::input(format!("{place}: {what}"), problem, cure),
+            Error::Input { what, problem, cure } => Error::input(format!("{place}: {what}"), problem, cure),
             other => other,
         }
     }
 
     /// An [`Error::Input`].
-    pub fn input(
-        what: impl Into<String>,
-        problem: impl Into<String>,
-        cure: impl Into<String>,
-    ) -> Error {
-        Error::Input {
-            what: what.into(),
-            problem: problem.into(),
-            cure: cure.into(),
-        }
+    pub fn input(what: impl Into<String>, problem: impl Into<String>, cure: impl Into<String>) -> Error {
+        Error::Input { what: what.into(), problem: problem.into(), cure: cure.into() }
     }
 }
 

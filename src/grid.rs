@@ -78,9 +78,7 @@ impl Sides {
     /// Names of the sides in the set.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         let names = Sides::NAMES.into_iter().enumerate();
-        names
-            .filter(move |(bit, _)| self.0 >> bit & 1 == 1)
-            .map(|(_, name)| name)
+        names.filter(move |(bit, _)| self.0 >> bit & 1 == 1).map(|(_, name)| name)
     }
 }
 
@@ -155,11 +153,7 @@ impl Grid {
 
     /// Size of the domain, m.
     pub fn size(&self) -> DVec3 {
-        DVec3::new(
-            self.cells[0] as f64,
-            self.cells[1] as f64,
-            self.cells[2] as f64,
-        ) * self.dx
+        DVec3::new(self.cells[0] as f64, self.cells[1] as f64, self.cells[2] as f64) * self.dx
     }
 
     /// Volume of a cell, m^3.
@@ -261,11 +255,7 @@ impl Corner {
     #[inline]
     pub fn new(n: [usize; 3], at: DVec3) -> Corner {
         let stride = [1, n[0], n[0] * n[1]];
-        let mut corner = Corner {
-            low: 0,
-            up: [0; 3],
-            between: [0.0; 3],
-        };
+        let mut corner = Corner { low: 0, up: [0; 3], between: [0.0; 3] };
         for b in 0..3 {
             let index = at[b].clamp(0.0, (n[b] - 1) as f64);
             // The upper end belongs to the last interval.
@@ -281,9 +271,7 @@ impl Corner {
     #[inline]
     pub fn values(&self, field: &[f64]) -> [f64; 8] {
         std::array::from_fn(|c| {
-            let offset: usize = (0..3)
-                .map(|b| if c >> b & 1 == 1 { self.up[b] } else { 0 })
-                .sum();
+            let offset: usize = (0..3).map(|b| if c >> b & 1 == 1 { self.up[b] } else { 0 }).sum();
             field[self.low + offset]
         })
     }
@@ -310,11 +298,7 @@ impl Corner {
             for b in 0..3 {
                 let upper = c >> b & 1 == 1;
                 point.0 += if upper { self.up[b] } else { 0 };
-                point.1 *= if upper {
-                    self.between[b]
-                } else {
-                    1.0 - self.between[b]
-                };
+                point.1 *= if upper { self.between[b] } else { 1.0 - self.between[b] };
             }
             point
         })
@@ -345,12 +329,7 @@ impl Padded {
     pub fn new(cells: [usize; 3]) -> Padded {
         let stride_y = 2 * (cells[0] / 8 + 1);
         let stride_z = stride_y * (cells[1] + 1);
-        Padded {
-            cells,
-            stride_y,
-            stride_z,
-            quads: (stride_z * (cells[2] + 3)).next_multiple_of(4),
-        }
+        Padded { cells, stride_y, stride_z, quads: (stride_z * (cells[2] + 3)).next_multiple_of(4) }
     }
 
     /// Number of scalars.
@@ -394,12 +373,7 @@ impl Padded {
     }
 
     /// Pads a host array of extents `n` (cells or faces) with zeros.
-    pub fn pad<T: Copy, U: Copy + Default>(
-        &self,
-        n: [usize; 3],
-        host: &[T],
-        convert: impl Fn(T) -> U,
-    ) -> Vec<U> {
+    pub fn pad<T: Copy, U: Copy + Default>(&self, n: [usize; 3], host: &[T], convert: impl Fn(T) -> U) -> Vec<U> {
         let mut device = vec![U::default(); self.len()];
         for (row, values) in host.chunks_exact(n[0]).enumerate() {
             let start = self.index([0, row % n[1], row / n[1]]);
@@ -411,21 +385,12 @@ impl Padded {
     }
 
     /// Extracts the host array of extents `n` from a device array.
-    pub fn unpad<T: Copy, U>(
-        &self,
-        n: [usize; 3],
-        device: &[T],
-        convert: impl Fn(T) -> U,
-    ) -> Vec<U> {
+    pub fn unpad<T: Copy, U>(&self, n: [usize; 3], device: &[T], convert: impl Fn(T) -> U) -> Vec<U> {
         let mut host = Vec::with_capacity(n.iter().product());
         for k in 0..n[2] {
             for j in 0..n[1] {
                 let start = self.index([0, j, k]);
-                host.extend(
-                    device[start..start + n[0]]
-                        .iter()
-                        .map(|&value| convert(value)),
-                );
+                host.extend(device[start..start + n[0]].iter().map(|&value| convert(value)));
             }
         }
         host

@@ -387,10 +387,7 @@ mod tests {
             format!("{number}. `{name}`: {sentence}\n")
         });
         let list: String = lines.collect();
-        assert!(
-            page.contains(&list),
-            "ARCHITECTURE.md should contain\n{list}"
-        );
+        assert!(page.contains(&list), "ARCHITECTURE.md should contain\n{list}");
     }
 
     #[test]

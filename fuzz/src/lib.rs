@@ -22,16 +22,8 @@ pub fn read(target: &str, bytes: &[u8]) -> Option<String> {
         "msh" | "vtu" => parse_tets(bytes, file).map(|read| {
             let mesh = read.mesh;
             let corners = mesh.elements.iter().flatten();
-            assert!(
-                corners
-                    .clone()
-                    .all(|&corner| (corner as usize) < mesh.nodes.len())
-            );
-            assert!(
-                mesh.elements
-                    .iter()
-                    .all(|&element| mesh.determinant(element) > 0.0)
-            );
+            assert!(corners.clone().all(|&corner| (corner as usize) < mesh.nodes.len()));
+            assert!(mesh.elements.iter().all(|&element| mesh.determinant(element) > 0.0));
             assert_eq!(read.numbers.len(), mesh.elements.len());
         }),
         _ => parse_mesh(bytes.to_vec(), file).map(|surface| {
@@ -51,19 +43,12 @@ pub fn read(target: &str, bytes: &[u8]) -> Option<String> {
 fn scene(bytes: &[u8]) -> Result<(), Error> {
     let text = String::from_utf8_lossy(bytes);
     let (text, setting) = text.split_once('\0').unwrap_or((&text, ""));
-    let settings: Vec<String> = Some(setting.to_owned())
-        .filter(|setting| !setting.is_empty())
-        .into_iter()
-        .collect();
+    let settings: Vec<String> = Some(setting.to_owned()).filter(|setting| !setting.is_empty()).into_iter().collect();
     let scene = Scene::parse(Path::new("fuzz.toml"), text, &settings, 1.0)?;
     assert!(scene.n_frames() > 0);
     let grid = scene.grid();
     assert!(grid.dx > 0.0 && grid.dx.is_finite() && grid.n_cells() > 0);
-    assert!(
-        scene.domain.size.is_finite()
-            && scene.domain.gravity.is_finite()
-            && scene.camera.eye.is_finite()
-    );
+    assert!(scene.domain.size.is_finite() && scene.domain.gravity.is_finite() && scene.camera.eye.is_finite());
     assert!(scene.liquid.is_some() || !scene.solids.is_empty());
     Ok(())
 }

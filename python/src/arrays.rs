@@ -25,11 +25,7 @@ pub(crate) fn view<'py, T: Element>(
 }
 
 /// An array that owns its values, in C order.
-pub(crate) fn owned<'py, T: Element>(
-    py: Python<'py>,
-    values: Vec<T>,
-    shape: &[usize],
-) -> PyResult<Bound<'py, PyAny>> {
+pub(crate) fn owned<'py, T: Element>(py: Python<'py>, values: Vec<T>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
     let array = Array::from_shape_vec(IxDyn(shape), values).map_err(mismatch)?;
     read_only(array.into_pyarray(py).into_any())
 }

@@ -9,10 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 /// Runs work of the library without the GIL. A panic of the library becomes an `InternalError`.
-pub(crate) fn guarded<T: Send>(
-    py: Python<'_>,
-    work: impl FnOnce() -> Result<T, Error> + Send,
-) -> PyResult<T> {
+pub(crate) fn guarded<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T, Error> + Send) -> PyResult<T> {
     match py.detach(|| catch_unwind(AssertUnwindSafe(work))) {
         Ok(Ok(value)) => Ok(value),
         Ok(Err(error)) => Err(exception(py, &error)),
@@ -34,12 +31,7 @@ pub(crate) fn internal(py: Python<'_>, problem: &str) -> PyErr {
         fields.set_item("problem", problem)?;
         fields.set_item("cure", cure)?;
         fields.set_item("exit_code", 4)?;
-        new(
-            py,
-            "InternalError",
-            &format!("{problem}\n  cure: {cure}"),
-            &fields,
-        )
+        new(py, "InternalError", &format!("{problem}\n  cure: {cure}"), &fields)
     })();
     built.unwrap_or_else(|error| error)
 }
@@ -53,13 +45,7 @@ fn convert(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
     let fields = PyDict::new(py);
     fields.set_item("exit_code", error.exit_code())?;
     let class = match error {
-        Error::Scene {
-            file,
-            line,
-            key,
-            problem,
-            cure,
-        } => {
+        Error::Scene { file, line, key, problem, cure } => {
             fields.set_item("file", file)?;
             fields.set_item("line", line)?;
             fields.set_item("key", key)?;
@@ -67,21 +53,13 @@ fn convert(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             fields.set_item("cure", cure)?;
             "SceneError"
         }
-        Error::Input {
-            what,
-            problem,
-            cure,
-        } => {
+        Error::Input { what, problem, cure } => {
             fields.set_item("what", what)?;
             fields.set_item("problem", problem)?;
             fields.set_item("cure", cure)?;
             "InputError"
         }
-        Error::Output {
-            path,
-            problem,
-            cure,
-        } => {
+        Error::Output { path, problem, cure } => {
             fields.set_item("file", path)?;
             fields.set_item("problem", problem)?;
             fields.set_item("cure", *cure)?;
@@ -101,11 +79,7 @@ fn convert(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             fields.set_item("cure", cure)?;
             "HostMemoryError"
         }
-        Error::Stage {
-            stage,
-            step,
-            problem,
-        } => {
+        Error::Stage { stage, step, problem } => {
             fields.set_item("stage", *stage)?;
             fields.set_item("step", step)?;
             fields.set_item("problem", problem)?;
@@ -127,9 +101,7 @@ fn convert(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
 
 fn new(py: Python<'_>, class: &str, text: &str, fields: &Bound<'_, PyDict>) -> PyResult<PyErr> {
     let module = py.import("cutwater.errors")?;
-    let exception = module
-        .getattr("exception")?
-        .call((class, text), Some(fields))?;
+    let exception = module.getattr("exception")?.call((class, text), Some(fields))?;
     Ok(PyErr::from_value(exception))
 }
 

@@ -37,10 +37,7 @@ impl Frame {
     }
 
     fn cut(&self) -> CutCells {
-        CutCells {
-            solid_distance: self.solid_distance.clone(),
-            ..CutCells::default()
-        }
+        CutCells { solid_distance: self.solid_distance.clone(), ..CutCells::default() }
     }
 }
 
@@ -99,11 +96,7 @@ impl Frame {
                 view(slf, |f| &f.solid_distance[..], &shape)
             }
             "active" => view(slf, |f| &f.state.active[..], &cells(state.active.len())),
-            "component" => view(
-                slf,
-                |f| &f.state.component[..],
-                &cells(state.component.len()),
-            ),
+            "component" => view(slf, |f| &f.state.component[..], &cells(state.component.len())),
             "displacement" => view(slf, |f| f.state.displacement.as_flattened(), &[n_nodes, 3]),
             "node_velocity" => view(slf, |f| f.state.node_velocity.as_flattened(), &[n_nodes, 3]),
             _ => Err(PyKeyError::new_err(name.to_owned())),
@@ -165,18 +158,12 @@ impl Frame {
     /// Rest positions of the nodes (m), corners of the elements and of the surface triangles.
     fn meshes<'py>(&self, py: Python<'py>) -> PyResult<[Bound<'py, PyAny>; 3]> {
         let rest = self.solids.rest.iter().map(|x| x.to_array()).collect();
-        Ok([
-            rows(py, rest)?,
-            rows(py, self.solids.elements.clone())?,
-            rows(py, self.solids.triangles.clone())?,
-        ])
+        Ok([rows(py, rest)?, rows(py, self.solids.elements.clone())?, rows(py, self.solids.triangles.clone())?])
     }
 
     /// Vertices (m), normals, velocities (m/s) and triangles of the liquid's surface, float32.
     fn surface<'py>(&self, py: Python<'py>) -> PyResult<[Bound<'py, PyAny>; 4]> {
-        let surface = guarded(py, || {
-            SurfaceTriangles::new(&self.scene, &self.state, &self.cut())
-        })?;
+        let surface = guarded(py, || SurfaceTriangles::new(&self.scene, &self.state, &self.cut()))?;
         Ok([
             rows(py, surface.vertices)?,
             rows(py, surface.normals)?,
@@ -209,16 +196,10 @@ pub(crate) fn draw<'py>(
     let frames: Vec<&Frame> = frames.iter().map(Py::get).collect();
     let mut interrupted = None;
     let bytes = guarded(py, || {
-        let folder =
-            tempfile::tempdir().map_err(|problem| Error::output(&std::env::temp_dir(), problem))?;
+        let folder = tempfile::tempdir().map_err(|problem| Error::output(&std::env::temp_dir(), problem))?;
         let out = folder.path();
         write(out, &frames)?;
-        let options = PreviewOptions {
-            size,
-            colour,
-            animation: frames.len() > 1,
-            ..PreviewOptions::default()
-        };
+        let options = PreviewOptions { size, colour, animation: frames.len() > 1, ..PreviewOptions::default() };
         let report = preview(out, &options, &mut |_, _| {
             interrupted = Python::attach(|py| py.check_signals()).err();
             interrupted.is_none()

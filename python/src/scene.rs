@@ -16,12 +16,7 @@ pub(crate) type KeyframeTuple = (f64, [f64; 3], [f64; 3], f64);
 
 /// Keyframe of a tuple.
 pub(crate) fn keyframe(&(time, translate, axis, angle): &KeyframeTuple) -> Keyframe {
-    Keyframe {
-        time,
-        translate: translate.into(),
-        axis: DVec3::from(axis).normalize_or_zero(),
-        angle,
-    }
+    Keyframe { time, translate: translate.into(), axis: DVec3::from(axis).normalize_or_zero(), angle }
 }
 
 /// A checked scene.
@@ -32,13 +27,7 @@ pub(crate) struct Scene(pub(crate) Arc<scene::Scene>);
 impl Scene {
     /// Checks a text, or without one the file.
     #[new]
-    fn new(
-        py: Python<'_>,
-        path: PathBuf,
-        text: Option<String>,
-        overrides: Vec<String>,
-        scale: f64,
-    ) -> PyResult<Scene> {
+    fn new(py: Python<'_>, path: PathBuf, text: Option<String>, overrides: Vec<String>, scale: f64) -> PyResult<Scene> {
         let scene = guarded(py, || match &text {
             Some(text) => scene::Scene::parse(&path, text, &overrides, scale),
             None => scene::Scene::load(&path, &overrides, scale),
@@ -84,27 +73,13 @@ impl Scene {
     /// Columns of the probes and their units.
     fn probes(&self) -> Vec<(String, &'static str)> {
         let probes = self.0.probes.iter();
-        probes
-            .flat_map(|probe| {
-                probe
-                    .columns()
-                    .into_iter()
-                    .zip(probe.units().iter().copied())
-            })
-            .collect()
+        probes.flat_map(|probe| probe.columns().into_iter().zip(probe.units().iter().copied())).collect()
     }
 
     /// Keyframes of an obstacle; none for one at rest.
     fn motion(&self, obstacle: usize) -> Option<Vec<KeyframeTuple>> {
         let motion = self.0.obstacles.get(obstacle)?.motion.as_ref()?;
-        let tuple = |of: &Keyframe| {
-            (
-                of.time,
-                of.translate.to_array(),
-                of.axis.to_array(),
-                of.angle,
-            )
-        };
+        let tuple = |of: &Keyframe| (of.time, of.translate.to_array(), of.axis.to_array(), of.angle);
         Some(motion.keyframes.iter().map(tuple).collect())
     }
 

@@ -37,8 +37,7 @@ pub(crate) fn backend_of(name: &str, adapter: Option<&str>) -> PyResult<Backend>
 /// Adapter of its name; the best by default.
 pub(crate) fn choice(adapter: Option<&str>) -> AdapterChoice {
     adapter.map_or(AdapterChoice::Best, |name| {
-        name.parse()
-            .unwrap_or_else(|never: std::convert::Infallible| match never {})
+        name.parse().unwrap_or_else(|never: std::convert::Infallible| match never {})
     })
 }
 
@@ -204,11 +203,7 @@ pub(crate) struct Simulation {
 
 impl Simulation {
     /// Works on the simulation without the GIL. Other threads wait for their turn.
-    fn with<T: Send>(
-        &self,
-        py: Python<'_>,
-        work: impl FnOnce(&mut Inner) -> Result<T, Error> + Send,
-    ) -> PyResult<T> {
+    fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Inner) -> Result<T, Error> + Send) -> PyResult<T> {
         let done = guarded(py, || match self.inner.lock() {
             Ok(mut inner) => work(&mut inner).map(Some),
             // A panic left it between two states.
@@ -221,18 +216,11 @@ impl Simulation {
 #[pymethods]
 impl Simulation {
     #[new]
-    fn new(
-        py: Python<'_>,
-        scene: &Scene,
-        backend: &str,
-        adapter: Option<&str>,
-    ) -> PyResult<Simulation> {
+    fn new(py: Python<'_>, scene: &Scene, backend: &str, adapter: Option<&str>) -> PyResult<Simulation> {
         let backend = backend_of(backend, adapter)?;
         let scene = Arc::clone(&scene.0);
         let inner = guarded(py, || Inner::new(scene, backend))?;
-        Ok(Simulation {
-            inner: Mutex::new(inner),
-        })
+        Ok(Simulation { inner: Mutex::new(inner) })
     }
 
     /// Time (s), sub-steps and frames done.
@@ -292,9 +280,7 @@ impl Simulation {
 
     /// Sub-steps, and a row per sub-step with the time (s) and the values of all columns.
     fn probes<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let (steps, values) = self.with(py, |inner| {
-            Ok((inner.probe_steps.clone(), inner.probe_values.clone()))
-        })?;
+        let (steps, values) = self.with(py, |inner| Ok((inner.probe_steps.clone(), inner.probe_values.clone())))?;
         let n = steps.len();
         let columns = values.len().checked_div(n).unwrap_or_default();
         Ok((owned(py, steps, &[n])?, owned(py, values, &[n, columns])?))
@@ -307,12 +293,7 @@ impl Simulation {
     /// Resumes from a state; with `same_scene` of the same scene and backend only.
     fn resume(&self, py: Python<'_>, state: &State, same_scene: bool) -> PyResult<()> {
         self.with(py, |inner| {
-            let Checkpoint {
-                state,
-                carried,
-                manifest,
-                ..
-            } = &state.0;
+            let Checkpoint { state, carried, manifest, .. } = &state.0;
             if same_scene {
                 let backend = inner.backend.name();
                 manifest.ensure_same_run(&inner.scene, backend, Path::new("the state"))?;
@@ -321,9 +302,7 @@ impl Simulation {
             inner.probe_steps.retain(|&step| step < state.step);
             let columns = inner.scene.probes.iter().map(|probe| probe.columns().len());
             let columns = 1 + columns.sum::<usize>();
-            inner
-                .probe_values
-                .truncate(columns * inner.probe_steps.len());
+            inner.probe_values.truncate(columns * inner.probe_steps.len());
             Ok(())
         })
     }
@@ -353,12 +332,7 @@ impl Simulation {
         })
     }
 
-    fn set_motion(
-        &self,
-        py: Python<'_>,
-        obstacle: usize,
-        keyframes: Vec<KeyframeTuple>,
-    ) -> PyResult<()> {
+    fn set_motion(&self, py: Python<'_>, obstacle: usize, keyframes: Vec<KeyframeTuple>) -> PyResult<()> {
         let keyframes = keyframes.iter().map(keyframe).collect();
         self.with(py, |inner| {
             inner.simulation.set_motion(obstacle, keyframes)?;
@@ -367,13 +341,7 @@ impl Simulation {
         })
     }
 
-    fn set_script(
-        &self,
-        py: Python<'_>,
-        solid: usize,
-        script: usize,
-        keyframes: Vec<KeyframeTuple>,
-    ) -> PyResult<()> {
+    fn set_script(&self, py: Python<'_>, solid: usize, script: usize, keyframes: Vec<KeyframeTuple>) -> PyResult<()> {
         let keyframes = keyframes.iter().map(keyframe).collect();
         self.with(py, |inner| {
             inner.simulation.set_script(solid, script, keyframes)?;
@@ -484,10 +452,7 @@ impl State {
     }
 
     fn __eq__(&self, other: &State) -> bool {
-        let ([a, b], [c, d]) = (
-            [&self.0.state, &other.0.state],
-            [&self.0.carried, &other.0.carried],
-        );
+        let ([a, b], [c, d]) = ([&self.0.state, &other.0.state], [&self.0.carried, &other.0.carried]);
         a == b && c == d
     }
 }

@@ -34,12 +34,7 @@ pub(crate) fn adapters(py: Python<'_>) -> PyResult<String> {
 
 /// The plan of a scene as JSON.
 #[pyfunction]
-pub(crate) fn plan(
-    py: Python<'_>,
-    scene: &Scene,
-    backend: &str,
-    adapter: Option<&str>,
-) -> PyResult<String> {
+pub(crate) fn plan(py: Python<'_>, scene: &Scene, backend: &str, adapter: Option<&str>) -> PyResult<String> {
     let backend = backend_of(backend, adapter)?;
     let scene = Arc::clone(&scene.0);
     let plan = guarded(py, || {
@@ -69,17 +64,16 @@ pub(crate) fn plan(
             json!({ "name": stage.name, "every_step": stage.every_step, "kernels": kernels })
         });
         let stages: Vec<Value> = stages.collect();
-        let effects = plan.effects.iter().map(|effect| {
-            json!({ "name": effect.name, "active": effect.active, "reason": effect.reason })
-        });
+        let effects = plan
+            .effects
+            .iter()
+            .map(|effect| json!({ "name": effect.name, "active": effect.active, "reason": effect.reason }));
         let effects: Vec<Value> = effects.collect();
         let buffers: Vec<Value> = match on_cpu {
             true => Vec::new(),
-            false => plan
-                .buffers
-                .iter()
-                .map(|buffer| json!({ "label": buffer.label, "bytes": buffer.bytes() }))
-                .collect(),
+            false => {
+                plan.buffers.iter().map(|buffer| json!({ "label": buffer.label, "bytes": buffer.bytes() })).collect()
+            }
         };
         let bytes = if on_cpu { 0 } else { plan.bytes() };
         Ok(json!({
@@ -93,16 +87,9 @@ pub(crate) fn plan(
 
 /// The rows of a comparison of all stages as JSON.
 #[pyfunction]
-pub(crate) fn compare_stages(
-    py: Python<'_>,
-    scene: &Scene,
-    frames: u64,
-    adapter: Option<&str>,
-) -> PyResult<String> {
+pub(crate) fn compare_stages(py: Python<'_>, scene: &Scene, frames: u64, adapter: Option<&str>) -> PyResult<String> {
     let (scene, adapter) = (Arc::clone(&scene.0), choice(adapter));
-    let comparison = guarded(py, || {
-        compare::compare(&scene, frames, &adapter, &mut |_, _| {})
-    })?;
+    let comparison = guarded(py, || compare::compare(&scene, frames, &adapter, &mut |_, _| {}))?;
     let rows = comparison.rows.iter().map(|row| {
         json!({
             "stage": row.stage, "quantity": row.quantity, "unit": row.unit, "count": row.count, "excused": row.excused, "largest": row.largest,
@@ -112,10 +99,7 @@ pub(crate) fn compare_stages(
         })
     });
     let rows: Vec<Value> = rows.collect();
-    Ok(
-        json!({ "rows": rows, "steps": comparison.steps, "adapter": comparison.adapter })
-            .to_string(),
-    )
+    Ok(json!({ "rows": rows, "steps": comparison.steps, "adapter": comparison.adapter }).to_string())
 }
 
 /// Options of [`run`], from the keywords of the Python function.
@@ -140,12 +124,7 @@ pub(crate) struct RunKeywords {
 /// Runs a scene into a folder. `progress` receives frame, frames, time (s) and new notices after each sub-step. An exception of it, or a signal,
 /// stops the run after a checkpoint.
 #[pyfunction]
-pub(crate) fn run(
-    py: Python<'_>,
-    scene: &Scene,
-    keywords: RunKeywords,
-    progress: Py<PyAny>,
-) -> PyResult<String> {
+pub(crate) fn run(py: Python<'_>, scene: &Scene, keywords: RunKeywords, progress: Py<PyAny>) -> PyResult<String> {
     let options = sim::Options {
         backend: backend_of(&keywords.backend, keywords.adapter.as_deref())?,
         out: keywords.out,
@@ -189,6 +168,5 @@ pub(crate) fn run(
 pub(crate) fn command_line(py: Python<'_>, arguments: Vec<OsString>, program: Vec<OsString>) -> u8 {
     let work = || cutwater::cli::main(arguments, Some(&program));
     // A panic has printed its message.
-    py.detach(|| catch_unwind(AssertUnwindSafe(work)))
-        .unwrap_or(101)
+    py.detach(|| catch_unwind(AssertUnwindSafe(work))).unwrap_or(101)
 }

@@ -15,12 +15,7 @@ impl Adapters {
     pub(super) fn run(&self) -> Result<(), Error> {
         let adapters = Gpu::adapters();
         for (index, adapter) in adapters.iter().enumerate() {
-            say!(
-                "{index}: {} ({}, {})",
-                adapter.name,
-                adapter.kind,
-                adapter.backend
-            );
+            say!("{index}: {} ({}, {})", adapter.name, adapter.kind, adapter.backend);
             say!("   driver {}", adapter.driver);
             say!(
                 "   f64 {}, timestamps {}, {} storage buffers per kernel, {} MiB per binding, {} MiB per buffer",

@@ -20,10 +20,7 @@ pub(super) fn progress_bar(template: &str) -> ProgressBar {
 
 /// Whether the locale is UTF-8, by the first variable that is set (POSIX: LC_ALL, LC_CTYPE, LANG).
 fn is_utf8(variable: impl Fn(&str) -> Option<String>) -> bool {
-    let locale = ["LC_ALL", "LC_CTYPE", "LANG"]
-        .into_iter()
-        .filter_map(variable)
-        .find(|value| !value.is_empty());
+    let locale = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().filter_map(variable).find(|value| !value.is_empty());
     let locale = locale.unwrap_or_default().to_ascii_lowercase();
     locale.contains("utf-8") || locale.contains("utf8")
 }

@@ -17,12 +17,7 @@ pub(super) struct Converge {
     /// Scene file (TOML)
     scene: PathBuf,
     /// Scales of the cells, at least three; the three finest give the order
-    #[arg(
-        long,
-        value_name = "S1,S2,S3",
-        default_value = "0.5,1,2",
-        value_delimiter = ','
-    )]
+    #[arg(long, value_name = "S1,S2,S3", default_value = "0.5,1,2", value_delimiter = ',')]
     scales: Vec<f64>,
     /// Also divide time.fixed_step and time.max_step by the scale
     #[arg(long)]
@@ -77,10 +72,7 @@ impl Converge {
             let stem = self.scene.file_stem().unwrap_or_default();
             Path::new("out").join(format!("{}_converge", stem.to_string_lossy()))
         });
-        let what = Refined {
-            steps: self.steps,
-            elements: self.elements,
-        };
+        let what = Refined { steps: self.steps, elements: self.elements };
         let settings = refined(&scene, &overrides, what)?;
         let options = Options {
             scene: self.scene.clone(),
@@ -119,10 +111,7 @@ impl Converge {
 fn print_study(study: &Study) {
     let names = study.quantities.iter().map(|row| row.probe.len());
     let width = names.max().unwrap_or(0).max(5);
-    let scales = study
-        .scales
-        .iter()
-        .map(|scale| format!("{:>12}", format!("x {scale}")));
+    let scales = study.scales.iter().map(|scale| format!("{:>12}", format!("x {scale}")));
     say!(
         "\n{:width$} {:8} {} {:>6} {:>12} {:>8}  verdict",
         "probe",
@@ -142,11 +131,7 @@ fn print_study(study: &Study) {
             row.quantity,
             values.collect::<String>(),
             or_dash(convergence.order.map(|order| format!("{order:.2}"))),
-            or_dash(
-                convergence
-                    .estimate
-                    .map(|estimate| format!("{estimate:.5e}"))
-            ),
+            or_dash(convergence.estimate.map(|estimate| format!("{estimate:.5e}"))),
             or_dash(row.error.map(|error| format!("{:.2}", 100.0 * error))),
             convergence.verdict.name()
         );

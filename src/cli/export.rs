@@ -24,12 +24,7 @@ pub(super) struct Export {
 
 impl Export {
     pub(super) fn run(&self) -> Result<(), Error> {
-        let options = Options {
-            backend: self.backend.backend(),
-            step: self.step,
-            start: None,
-            out: self.out.clone(),
-        };
+        let options = Options { backend: self.backend.backend(), step: self.step, start: None, out: self.out.clone() };
         let meta = export(&self.scene.load()?, &options)?;
         say!(
             "{} unknowns, {} entries, residual {:.1e}: {}",

@@ -69,11 +69,7 @@ impl Mesh {
             "obj" | "stl" | "ply" | "glb" | "gltf" => true,
             "msh" | "vtu" => false,
             _ if self.file.is_dir() => {
-                return Err(Error::input(
-                    file,
-                    "is a folder, not a mesh",
-                    "give the path of a mesh file in it",
-                ));
+                return Err(Error::input(file, "is a folder, not a mesh", "give the path of a mesh file in it"));
             }
             "toml" => {
                 return Err(Error::input(
@@ -104,13 +100,8 @@ impl Mesh {
             (true, Some(cell_size)) => {
                 let surface = geometry::read_mesh(&self.file)?.map(|x| self.scale * x);
                 let filled = geometry::fill(&surface, cell_size);
-                let mesh =
-                    filled.map_err(|fault| Error::input(&file, fault.problem, fault.cure))?;
-                let tets = TetFile {
-                    numbers: (0..mesh.elements.len() as u64).collect(),
-                    mesh,
-                    notes: Vec::new(),
-                };
+                let mesh = filled.map_err(|fault| Error::input(&file, fault.problem, fault.cure))?;
+                let tets = TetFile { numbers: (0..mesh.elements.len() as u64).collect(), mesh, notes: Vec::new() };
                 Ok((tets, Some(surface)))
             }
             (false, None) => {
@@ -129,24 +120,13 @@ fn extension(file: &Path) -> String {
 
 fn say_counts(mesh: &TetMesh, filled: Option<&Surface>) {
     let triangles = mesh.surface();
-    let boundary = Surface {
-        vertices: mesh.nodes.clone(),
-        triangles,
-    };
+    let boundary = Surface { vertices: mesh.nodes.clone(), triangles };
     let parts = match mesh.components() {
         1 => "1 part".to_owned(),
         n => format!("{n} parts"),
     };
-    say!(
-        "  {} nodes, {} tetrahedra, {parts}",
-        mesh.nodes.len(),
-        mesh.elements.len()
-    );
-    say!(
-        "  {} surface triangles, {:.6e} m^2",
-        boundary.triangles.len(),
-        boundary.area()
-    );
+    say!("  {} nodes, {} tetrahedra, {parts}", mesh.nodes.len(), mesh.elements.len());
+    say!("  {} surface triangles, {:.6e} m^2", boundary.triangles.len(), boundary.area());
     let pinches = mesh.pinched_edges();
     if pinches > 0 {
         say!("  note: the surface touches itself along {pinches} edges");
@@ -171,9 +151,7 @@ fn say_shapes(tets: &TetFile) {
         shapes
             .iter()
             .map(value)
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
-                [low.min(value), high.max(value)]
-            })
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
     };
     let mean = shapes.iter().map(|s| s.mean_ratio).sum::<f64>() / shapes.len() as f64;
     let [low, high] = range(|s| s.mean_ratio);

@@ -30,12 +30,7 @@ use crate::sim::Backend;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 /// Output of `--version`: version and sources, as in captions of tables. `-V` prints the version alone.
-const BUILD: &str = concat!(
-    env!("CARGO_PKG_VERSION"),
-    " (",
-    env!("CUTWATER_SOURCES"),
-    ")"
-);
+const BUILD: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("CUTWATER_SOURCES"), ")");
 
 /// Two-way coupling between inviscid free-surface liquids and elastic solids, on the GPU, without a window.
 #[derive(Debug, Parser)]
@@ -123,10 +118,7 @@ fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
     let is_scene = path.extension().is_some_and(|kind| kind == "toml");
     if is_scene && path.is_file() {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        let cure = format!(
-            "run it first: cutwater run {}; then cutwater {command} out/{name}",
-            path.display()
-        );
+        let cure = format!("run it first: cutwater run {}; then cutwater {command} out/{name}", path.display());
         return refuse("is a scene, not the folder of a run", cure);
     }
     if path.is_file() {
@@ -141,9 +133,7 @@ fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
     if path.is_dir() && !path.join("manifest.json").is_file() {
         let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
         let folders = entries.map(|entry| entry.path());
-        let mut runs: Vec<_> = folders
-            .filter(|folder| folder.join("manifest.json").is_file())
-            .collect();
+        let mut runs: Vec<_> = folders.filter(|folder| folder.join("manifest.json").is_file()).collect();
         runs.sort();
         if let Some(run) = runs.first() {
             let cure = format!("give the folder of a run, such as {}", run.display());
@@ -172,8 +162,7 @@ struct AdapterArgs {
 impl AdapterArgs {
     fn choice(&self) -> AdapterChoice {
         self.adapter.as_deref().map_or(AdapterChoice::Best, |name| {
-            name.parse()
-                .unwrap_or_else(|never: std::convert::Infallible| match never {})
+            name.parse().unwrap_or_else(|never: std::convert::Infallible| match never {})
         })
     }
 }
@@ -183,9 +172,7 @@ const SMALLER_SCENE: &str = "fewer cells (--scale) or coarser meshes of the soli
 
 /// Replaces a cure that names `--backend`, for commands without that option; `smaller` is the cure for too large a problem.
 fn without_backend(mut error: Error, smaller: &str) -> Error {
-    if let Error::Limit {
-        available, cure, ..
-    } = &mut error
+    if let Error::Limit { available, cure, .. } = &mut error
         && cure.ends_with(", or --backend cpu")
     {
         let other = match *available {

@@ -56,9 +56,7 @@ impl PlanCommand {
                         say!("the scene fits; the free memory of the adapter is unknown");
                     }
                     None => {
-                        say!(
-                            "\nno adapter was checked: none is present. The plan is for one with f64."
-                        );
+                        say!("\nno adapter was checked: none is present. The plan is for one with f64.");
                         plan.check_formulation()?;
                         say_memory(memory(false)?)?;
                     }
@@ -72,21 +70,12 @@ impl PlanCommand {
 fn say_scene(scene: &Scene, plan: &Plan) {
     let [nx, ny, nz] = plan.grid.cells;
     say!("{}", scene.file.display());
-    say!(
-        "  {nx} x {ny} x {nz} cells of {} m: {}, padded {}",
-        plan.grid.dx,
-        plan.grid.n_cells(),
-        plan.padded_cells
-    );
+    say!("  {nx} x {ny} x {nz} cells of {} m: {}, padded {}", plan.grid.dx, plan.grid.n_cells(), plan.padded_cells);
     if plan.n_markers > 0 {
         say!("  about {} markers", plan.n_markers);
     }
     if plan.n_nodes > 0 {
-        say!(
-            "  solids: {} nodes, {} elements",
-            plan.n_nodes,
-            plan.n_elements
-        );
+        say!("  solids: {} nodes, {} elements", plan.n_nodes, plan.n_elements);
     }
     for (number, flow) in plan.sources.iter().enumerate() {
         let share = 100.0 * flow.flow_rate / flow.unobstructed;
@@ -94,11 +83,7 @@ fn say_scene(scene: &Scene, plan: &Plan) {
             true => format!(", {share:.1} % of its unobstructed flow: walls cover the rest"),
             false => String::new(),
         };
-        say!(
-            "  source[{number}] emits {:.4e} m^3/s at {:.4} m/s{covered}",
-            flow.flow_rate,
-            flow.velocity.length()
-        );
+        say!("  source[{number}] emits {:.4e} m^3/s at {:.4} m/s{covered}", flow.flow_rate, flow.velocity.length());
     }
     let frame = 1.0 / scene.time.frames_per_second;
     say!(
@@ -120,11 +105,7 @@ fn say_effects(plan: &Plan) {
 fn say_stages(plan: &Plan) {
     say!("\nstages of a sub-step: kernels");
     for stage in &plan.stages {
-        let once = if stage.every_step {
-            ""
-        } else {
-            "  (once, before the first sub-step)"
-        };
+        let once = if stage.every_step { "" } else { "  (once, before the first sub-step)" };
         say!("  {:15} {}{once}", stage.name, stage.kernels.join(", "));
     }
 }
@@ -145,54 +126,25 @@ fn say_solves(plan: &Plan) {
 fn say_buffers(plan: &Plan) {
     say!("\n{:32} {:>12} {:>14}", "buffers", "elements", "bytes");
     for buffer in &plan.buffers {
-        say!(
-            "  {:30} {:12} {:14}",
-            buffer.label,
-            buffer.len,
-            buffer.bytes()
-        );
+        say!("  {:30} {:12} {:14}", buffer.label, buffer.len, buffer.bytes());
     }
-    say!(
-        "  {:30} {:12} {:14}  ({})",
-        "all",
-        "",
-        plan.bytes(),
-        mebibytes(plan.bytes())
-    );
+    say!("  {:30} {:12} {:14}  ({})", "all", "", plan.bytes(), mebibytes(plan.bytes()));
     if plan.n_nodes == 0 {
-        say!(
-            "  {:.1} bytes per padded cell, {:.0} per marker",
-            plan.bytes_per_cell(),
-            plan.bytes_per_marker()
-        );
+        say!("  {:.1} bytes per padded cell, {:.0} per marker", plan.bytes_per_cell(), plan.bytes_per_marker());
     }
 }
 
 /// Prints the limits of the adapter; a limit that is too small is an error.
 fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
     say!("\nadapter {} ({})", adapter.name, adapter.kind);
-    let largest = plan
-        .buffers
-        .iter()
-        .max_by_key(|buffer| buffer.bytes())
-        .map_or(0, BufferPlan::bytes);
+    let largest = plan.buffers.iter().max_by_key(|buffer| buffer.bytes()).map_or(0, BufferPlan::bytes);
     let buffer_limits = [
-        (
-            "max_storage_buffer_binding_size",
-            largest,
-            adapter.storage_binding,
-        ),
+        ("max_storage_buffer_binding_size", largest, adapter.storage_binding),
         ("max_buffer_size", largest, adapter.buffer),
     ];
-    let kernel_limits = adapter
-        .needed_limits()
-        .map(|limit| (limit.name, limit.needed.into(), limit.available.into()));
+    let kernel_limits = adapter.needed_limits().map(|limit| (limit.name, limit.needed.into(), limit.available.into()));
     for (limit, needed, allowed) in buffer_limits.into_iter().chain(kernel_limits) {
-        let verdict = if needed <= allowed {
-            "fits"
-        } else {
-            "TOO SMALL"
-        };
+        let verdict = if needed <= allowed { "fits" } else { "TOO SMALL" };
         say!("  {limit:37} needs {needed:12}, allows {allowed:20}: {verdict}");
     }
     let too_large: Vec<&str> = plan
@@ -208,11 +160,7 @@ fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
 }
 
 fn say_memory(memory: HostMemory) -> Result<(), Error> {
-    say!(
-        "\nmemory of this machine: at least {}, free {}",
-        mebibytes(memory.needed),
-        mebibytes(memory.available)
-    );
+    say!("\nmemory of this machine: at least {}, free {}", mebibytes(memory.needed), mebibytes(memory.available));
     memory.check()
 }
 

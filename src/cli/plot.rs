@@ -31,11 +31,7 @@ impl Plot {
             (None, [run]) => run.join("plots"),
             (None, _) => {
                 let cure = "add --out FOLDER";
-                return Err(Error::input(
-                    "plot",
-                    "several runs need a folder for their charts",
-                    cure,
-                ));
+                return Err(Error::input("plot", "several runs need a folder for their charts", cure));
             }
         };
         let files = match self.probes[..] {

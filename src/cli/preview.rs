@@ -63,14 +63,9 @@ fn size(text: &str) -> Result<[usize; 2], String> {
 }
 
 fn vector(text: &str) -> Result<DVec3, String> {
-    let numbers: Option<Vec<f64>> = text
-        .split(',')
-        .map(|number| number.trim().parse().ok())
-        .collect();
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
     let numbers: Option<[f64; 3]> = numbers.and_then(|numbers| numbers.try_into().ok());
-    numbers
-        .map(DVec3::from)
-        .ok_or_else(|| "write three numbers X,Y,Z, such as 2,1.5,3".to_owned())
+    numbers.map(DVec3::from).ok_or_else(|| "write three numbers X,Y,Z, such as 2,1.5,3".to_owned())
 }
 
 fn cut(text: &str) -> Result<CameraCut, String> {
@@ -102,21 +97,13 @@ impl Preview {
             cut: self.camera_cut,
         };
         super::ensure_run(&self.run, "preview")?;
-        draw(
-            Pictures::new(&self.run, &options)?,
-            &self.run,
-            &AtomicBool::new(false),
-        )
+        draw(Pictures::new(&self.run, &options)?, &self.run, &AtomicBool::new(false))
     }
 }
 
 /// Draws missing pictures and the animation with a progress bar, and prints their paths. A true `interrupt` ends it after the current
 /// picture.
-pub(super) fn draw(
-    mut pictures: Pictures,
-    run: &Path,
-    interrupt: &AtomicBool,
-) -> Result<(), Error> {
+pub(super) fn draw(mut pictures: Pictures, run: &Path, interrupt: &AtomicBool) -> Result<(), Error> {
     let bar = progress_bar("{wide_bar} {pos}/{len}");
     pictures.draw(&mut |done, all| {
         bar.set_length(all as u64);
@@ -125,11 +112,7 @@ pub(super) fn draw(
     })?;
     let report = pictures.finish()?;
     bar.finish_and_clear();
-    say!(
-        "{} pictures: {}",
-        report.pictures.len(),
-        run.join("preview").display()
-    );
+    say!("{} pictures: {}", report.pictures.len(), run.join("preview").display());
     if let Some(animation) = &report.animation {
         say!("animation: {}", animation.display());
     }
@@ -147,11 +130,7 @@ pub(super) fn draw(
 
 /// Draws the pictures of a running simulation at each message in `frames`, until the sender is dropped. A true `stop` ends it
 /// after the current picture. `None` without a message.
-pub(super) fn follow(
-    run: &Path,
-    frames: &Receiver<()>,
-    stop: &AtomicBool,
-) -> Result<Option<Pictures>, Error> {
+pub(super) fn follow(run: &Path, frames: &Receiver<()>, stop: &AtomicBool) -> Result<Option<Pictures>, Error> {
     let mut pictures: Option<Pictures> = None;
     while frames.recv().is_ok() {
         // Draws all frames written so far.

@@ -18,11 +18,7 @@ impl Report {
         if self.dir.is_file() {
             super::ensure_run(&self.dir, "report")?;
         }
-        let Contents {
-            folders,
-            tables,
-            pictures,
-        } = report(&self.dir)?;
+        let Contents { folders, tables, pictures } = report(&self.dir)?;
         say!("{folders} folders, {tables} tables, {pictures} pictures");
         say!("page: {}", self.dir.join(PAGE).display());
         Ok(())

@@ -53,10 +53,7 @@ pub(super) struct Run {
 impl Run {
     pub(super) fn run(&self) -> Result<(), Error> {
         let scene = self.scene.load()?;
-        let out = self
-            .out
-            .clone()
-            .unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
+        let out = self.out.clone().unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
         let interrupt = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&interrupt);
         let first = OnceLock::new();
@@ -109,9 +106,7 @@ impl Run {
         std::thread::scope(|scope| {
             let (sender, frames) = mpsc::channel();
             let (out, stop) = (&options.out, &stop);
-            let painter = self
-                .preview
-                .then(|| scope.spawn(move || super::preview::follow(out, &frames, stop)));
+            let painter = self.preview.then(|| scope.spawn(move || super::preview::follow(out, &frames, stop)));
             let (mut last_frame, mut last_sent) = (0, None);
             let mut show = |progress: &sim::Progress| {
                 let line = show_progress(&bar, progress);
@@ -150,10 +145,8 @@ fn show_progress(bar: &ProgressBar, progress: &sim::Progress) -> String {
     let report = progress.report;
     let mut line = format!("t = {:.3} s, dt = {:.2e} s", progress.time, report.dt);
     for solve in report.solves() {
-        line += &format!(
-            ", {} unknowns, {} iterations, residual {:.0e}",
-            solve.unknowns, solve.iterations, solve.residual
-        );
+        line +=
+            &format!(", {} unknowns, {} iterations, residual {:.0e}", solve.unknowns, solve.iterations, solve.residual);
     }
     bar.set_message(line.clone());
     line
@@ -178,12 +171,7 @@ fn print_summary(scene: &Scene, summary: &Summary) {
         Some(resumed) => say!("resumed from frame {}", resumed.frames),
         None => {}
     }
-    let Tally {
-        worst_residual,
-        volume_ratio,
-        min_det,
-        ..
-    } = summary.tally;
+    let Tally { worst_residual, volume_ratio, min_det, .. } = summary.tally;
     let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
         let [least, largest] = [100.0 * least, 100.0 * largest];
         let target = match Effects::of(scene).exchange() {
@@ -244,9 +232,7 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
     });
     for (name, step) in &summary.failed_solids {
         warn_if(true, &|| {
-            format!(
-                "solid \"{name}\" collapsed in sub-step {step}; later results are not the scene's physics"
-            )
+            format!("solid \"{name}\" collapsed in sub-step {step}; later results are not the scene's physics")
         });
     }
     warn_if(tally.overlap > scene.grid().dx, &|| {
@@ -273,20 +259,13 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
             )
         });
     }
-    let stale = summary
-        .resumed
-        .as_ref()
-        .is_some_and(|resumed| resumed.skins_removed);
+    let stale = summary.resumed.as_ref().is_some_and(|resumed| resumed.skins_removed);
     warn_if(stale, &|| {
         "skins of an earlier part of the run were removed, since they lack the later frames; run `cutwater skin` again"
             .to_owned()
     });
     for region in &summary.empty_regions {
-        warn_if(true, &|| {
-            format!(
-                "liquid.region[{region}] has no liquid: it is too small for the cells, or covered"
-            )
-        });
+        warn_if(true, &|| format!("liquid.region[{region}] has no liquid: it is too small for the cells, or covered"));
     }
     warn_if(tally.floored > 0, &|| {
         let cause = match scene.time.fixed_step {
@@ -303,13 +282,7 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
 
 /// Refuses a scene without frames for `--preview` before it runs; warns of bodies that pictures will lack.
 fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
-    let FrameKinds {
-        markers,
-        fields,
-        solids,
-        surface,
-        ..
-    } = FrameKinds::of(scene);
+    let FrameKinds { markers, fields, solids, surface, .. } = FrameKinds::of(scene);
     let liquid = (
         "liquid",
         "output.particles, output.fields or output.surface",
@@ -317,9 +290,7 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
         markers || fields || surface.is_some(),
     );
     let bodies = ("solids", "output.solids", !scene.solids.is_empty(), solids);
-    let missing = [liquid, bodies]
-        .into_iter()
-        .filter(|(_, _, present, drawn)| *present && !drawn);
+    let missing = [liquid, bodies].into_iter().filter(|(_, _, present, drawn)| *present && !drawn);
     for (what, keys, _, _) in missing {
         if !(liquid.3 || solids) {
             return Err(Error::input(

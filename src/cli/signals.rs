@@ -11,10 +11,7 @@ pub(super) fn on_end(received: impl Fn(i32) + Send + 'static) -> Result<(), Erro
     use signal_hook::iterator::Signals;
 
     let caught: Vec<i32> = match ignored_at_start() {
-        Some(ignored) => [SIGINT, SIGTERM, SIGHUP]
-            .into_iter()
-            .filter(|&signal| !is_ignored(ignored, signal))
-            .collect(),
+        Some(ignored) => [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(ignored, signal)).collect(),
         // The default action of SIGHUP is right with and without nohup.
         None => vec![SIGINT, SIGTERM],
     };
@@ -45,8 +42,7 @@ pub(super) fn survive_file_size_limit() {
     #[cfg(unix)]
     {
         // With a handler the write returns EFBIG; an error here leaves the default action.
-        let _ =
-            signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
+        let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
     }
 }
 
@@ -59,9 +55,7 @@ fn ignored_at_start() -> Option<u64> {
 /// The line `SigIgn` of /proc/PID/status.
 #[cfg(any(unix, test))]
 fn ignored_in(status: &str) -> Option<u64> {
-    let mask = status
-        .lines()
-        .find_map(|line| line.strip_prefix("SigIgn:"))?;
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
     u64::from_str_radix(mask.trim(), 16).ok()
 }
 
@@ -78,9 +72,7 @@ mod tests {
     fn ignored_signals_are_read_from_the_status() {
         let status = "Name:\tsh\nSigBlk:\t0000000000000000\nSigIgn:\t0000000000001003\nSigCgt:\t0000000000004000\n";
         let mask = ignored_in(status).unwrap();
-        let ignored: Vec<i32> = (1..=64)
-            .filter(|&signal| is_ignored(mask, signal))
-            .collect();
+        let ignored: Vec<i32> = (1..=64).filter(|&signal| is_ignored(mask, signal)).collect();
         // SIGHUP, SIGINT and SIGPIPE.
         assert_eq!(ignored, [1, 2, 13]);
         assert_eq!(ignored_in("Name:\tsh\n"), None);

@@ -21,9 +21,7 @@ pub(super) struct Skin {
 const FAR: f64 = 0.1;
 
 fn pair(text: &str) -> Result<(String, PathBuf), String> {
-    let (solid, file) = text
-        .split_once('=')
-        .ok_or_else(|| "write SOLID=FILE, such as crate=crate.obj".to_owned())?;
+    let (solid, file) = text.split_once('=').ok_or_else(|| "write SOLID=FILE, such as crate=crate.obj".to_owned())?;
     Ok((solid.to_owned(), PathBuf::from(file)))
 }
 
@@ -43,9 +41,7 @@ impl Skin {
                 report.vertices,
                 report.triangles,
                 report.frames,
-                report
-                    .animation
-                    .map_or_else(String::new, |path| format!(", {}", path.display()))
+                report.animation.map_or_else(String::new, |path| format!(", {}", path.display()))
             );
             if report.farthest > FAR * report.size {
                 warn!(

@@ -52,12 +52,7 @@ pub(super) struct SweepCommand {
     #[arg(long, default_value = "1", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) jobs: u16,
     /// Run only every N-th combination, from the I-th on, I from 1 to N: for job arrays
-    #[arg(
-        long,
-        value_name = "I/N",
-        default_value = "1/1",
-        hide_default_value = true
-    )]
+    #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
     pub(super) shard: Shard,
     /// Replace runs of another scene text, other options or another version, which are refused otherwise
     #[arg(long)]
@@ -88,12 +83,7 @@ impl SweepCommand {
     }
 
     /// Runs what is missing of a sweep, and summarises it. `program` as for [`SweepCommand::run`].
-    pub(super) fn complete(
-        &self,
-        sweep: &Sweep,
-        out: &Path,
-        program: Option<&[OsString]>,
-    ) -> Result<(), Error> {
+    pub(super) fn complete(&self, sweep: &Sweep, out: &Path, program: Option<&[OsString]>) -> Result<(), Error> {
         let program = match program {
             Some(program) => program.to_vec(),
             None => vec![this_program()?],
@@ -101,20 +91,14 @@ impl SweepCommand {
         let shard = sweep.shard_runs(self.shard);
         if self.list {
             for &number in &shard {
-                say!(
-                    "{:10} {}",
-                    sweep.row(number).status.name(),
-                    sweep.runs[number].name
-                );
+                say!("{:10} {}", sweep.row(number).status.name(), sweep.runs[number].name);
             }
             return match out.exists() {
                 true => sweep.write_summary(),
                 false => Ok(()),
             };
         }
-        let outdated = shard
-            .iter()
-            .find(|&&number| sweep.row(number).status == Status::Outdated);
+        let outdated = shard.iter().find(|&&number| sweep.row(number).status == Status::Outdated);
         if let (Some(&number), false) = (outdated, self.overwrite) {
             return Err(Error::input(
                 sweep.runs[number].folder.display().to_string(),
@@ -161,11 +145,7 @@ impl SweepCommand {
                 };
                 sweep.write_summary()?;
                 let nth = ended.fetch_add(1, Ordering::Relaxed) + 1;
-                say!(
-                    "{nth} of {}: {}: {result}",
-                    shard.len(),
-                    sweep.runs[number].name
-                );
+                say!("{nth} of {}: {}: {result}", shard.len(), sweep.runs[number].name);
             }
             Ok(())
         };
@@ -173,9 +153,7 @@ impl SweepCommand {
             let jobs = usize::from(self.jobs).min(shard.len());
             let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
             let ends = workers.into_iter().map(|worker| {
-                worker.join().unwrap_or_else(|_| {
-                    Err(Error::Check("a thread of the sweep ended early".to_owned()))
-                })
+                worker.join().unwrap_or_else(|_| Err(Error::Check("a thread of the sweep ended early".to_owned())))
             });
             ends.fold(Ok(()), Result::and)
         })
@@ -196,11 +174,7 @@ impl SweepCommand {
         let run = &sweep.runs[number];
         let path = run.folder.join(LOG);
         let failed = |problem: std::io::Error| Error::unwritten(&path, &problem);
-        let mut log = File::options()
-            .create(true)
-            .append(true)
-            .open(&path)
-            .map_err(failed)?;
+        let mut log = File::options().create(true).append(true).open(&path).map_err(failed)?;
         let start = log.metadata().map_err(failed)?.len();
         let mut command = self.command(program, replaces, run);
         writeln!(log, "{command:?}").map_err(failed)?;
@@ -249,10 +223,7 @@ impl SweepCommand {
         const THREADS: &str = "RAYON_NUM_THREADS";
         if self.jobs > 1 && std::env::var_os(THREADS).is_none() {
             let threads = thread::available_parallelism().map_or(1, usize::from);
-            command.env(
-                THREADS,
-                (threads / usize::from(self.jobs)).max(1).to_string(),
-            );
+            command.env(THREADS, (threads / usize::from(self.jobs)).max(1).to_string());
         }
         // Ctrl-C on a terminal signals the whole process group: a run in it would receive two signals and end at once.
         #[cfg(unix)]
@@ -264,11 +235,7 @@ impl SweepCommand {
 /// The executable of this process.
 fn this_program() -> Result<OsString, Error> {
     let path = std::env::current_exe().map_err(|problem| {
-        Error::input(
-            "the path of cutwater itself",
-            problem.to_string(),
-            "start it by its full path",
-        )
+        Error::input("the path of cutwater itself", problem.to_string(), "start it by its full path")
     })?;
     Ok(path.into_os_string())
 }
@@ -328,10 +295,7 @@ fn signal_name(status: ExitStatus) -> Option<String> {
     use std::os::unix::process::ExitStatusExt;
 
     let signal = nix::sys::signal::Signal::try_from(status.signal()?);
-    Some(format!(
-        "ended by {}",
-        signal.map_or("a signal", |signal| signal.as_str())
-    ))
+    Some(format!("ended by {}", signal.map_or("a signal", |signal| signal.as_str())))
 }
 
 #[cfg(not(unix))]
@@ -345,12 +309,7 @@ fn last_error(log: &Path, start: u64) -> Option<String> {
     let text = String::from_utf8_lossy(bytes.get(usize::try_from(start).ok()?..)?).into_owned();
     let error = text.rsplit_once("error: ").map(|(_, error)| error);
     let panic = || text.rsplit_once(" panicked at ").map(|(_, panic)| panic);
-    let lines: Vec<&str> = error
-        .or_else(panic)?
-        .lines()
-        .map(str::trim)
-        .filter(|line| !line.is_empty())
-        .collect();
+    let lines: Vec<&str> = error.or_else(panic)?.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     Some(lines.join("; "))
 }
 
@@ -360,11 +319,7 @@ fn describe(sweep: &Sweep, number: usize) -> String {
     match row.status {
         Status::Finished => {
             let volume = row.volume.map_or(String::new(), |[least, largest]| {
-                format!(
-                    ", volume {:.1} % to {:.1} %",
-                    100.0 * least,
-                    100.0 * largest
-                )
+                format!(", volume {:.1} % to {:.1} %", 100.0 * least, 100.0 * largest)
             });
             let missed = match row.missed {
                 None | Some(0) => String::new(),
@@ -384,12 +339,8 @@ fn describe(sweep: &Sweep, number: usize) -> String {
         }
         Status::Running => "running in another process".to_owned(),
         status => {
-            let code = row
-                .exit_code
-                .map_or(String::new(), |code| format!(" (exit code {code})"));
-            let problem = row
-                .problem
-                .map_or(String::new(), |problem| format!(": {problem}"));
+            let code = row.exit_code.map_or(String::new(), |code| format!(" (exit code {code})"));
+            let problem = row.problem.map_or(String::new(), |problem| format!(": {problem}"));
             format!("{}{code}{problem}", status.name())
         }
     }
@@ -397,11 +348,7 @@ fn describe(sweep: &Sweep, number: usize) -> String {
 
 /// Prints the table of the shard's runs.
 fn print_table(sweep: &Sweep, shard: &[usize]) {
-    let width = shard
-        .iter()
-        .map(|&number| sweep.runs[number].name.len())
-        .max()
-        .unwrap_or(0);
+    let width = shard.iter().map(|&number| sweep.runs[number].name.len()).max().unwrap_or(0);
     say!(
         "\n{:width$}  {:11} {:>4} {:>6} {:>9} {:>9} {:>9} {:>15} {:>6}",
         "run",
@@ -418,17 +365,8 @@ fn print_table(sweep: &Sweep, shard: &[usize]) {
         value.map_or("-".to_owned(), text)
     }
     for &number in shard {
-        let Row {
-            status,
-            exit_code,
-            frames,
-            sub_steps,
-            seconds,
-            worst_residual,
-            volume,
-            missed,
-            ..
-        } = sweep.row(number);
+        let Row { status, exit_code, frames, sub_steps, seconds, worst_residual, volume, missed, .. } =
+            sweep.row(number);
         say!(
             "{:width$}  {:11} {:>4} {:>6} {:>9} {:>9} {:>9} {:>15} {:>6}",
             sweep.runs[number].name,
@@ -438,11 +376,7 @@ fn print_table(sweep: &Sweep, shard: &[usize]) {
             or_dash(sub_steps, |steps| steps.to_string()),
             or_dash(seconds, |seconds| format!("{seconds:.1}")),
             or_dash(worst_residual, |residual| format!("{residual:.1e}")),
-            or_dash(volume, |[least, largest]| format!(
-                "{:.1} to {:.1}",
-                100.0 * least,
-                100.0 * largest
-            )),
+            or_dash(volume, |[least, largest]| format!("{:.1} to {:.1}", 100.0 * least, 100.0 * largest)),
             or_dash(missed, |missed| missed.to_string()),
         );
     }

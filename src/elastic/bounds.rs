@@ -32,13 +32,9 @@ impl Bounds {
             let bounds = elements.map(|element| {
                 let gradients = &solids.gradients[element];
                 [
-                    largest_eigenvalue(body, gradients, |g| {
-                        stiffness_block(g, g, body.lambda, body.mu).inverse()
-                    }),
+                    largest_eigenvalue(body, gradients, |g| stiffness_block(g, g, body.lambda, body.mu).inverse()),
                     // A quarter of the element's mass over its volume.
-                    largest_eigenvalue(body, gradients, |_| {
-                        DMat3::from_diagonal(DVec3::splat(4.0 / body.density))
-                    }),
+                    largest_eigenvalue(body, gradients, |_| DMat3::from_diagonal(DVec3::splat(4.0 / body.density))),
                 ]
             });
             bounds.reduce(|| [0.0; 2], |[a, b], [c, d]| [a.max(c), b.max(d)])
@@ -82,11 +78,7 @@ impl Bounds {
 /// With an orthonormal basis s_k of the symmetric tensors, K_e / V = G^T C G, where G_k(a, .) = s_k g_a and C = 2 mu I + lambda
 /// tr tr^T. The nonzero eigenvalues of D^-1 G^T C G are those of the 6x6 matrix A = C (G D^-1 G^T), all real and positive, so
 /// lmax <= (tr A^n)^(1/n).
-fn largest_eigenvalue(
-    body: &Body,
-    gradients: &[DVec3; 4],
-    inverse: impl Fn(DVec3) -> DMat3,
-) -> f64 {
+fn largest_eigenvalue(body: &Body, gradients: &[DVec3; 4], inverse: impl Fn(DVec3) -> DMat3) -> f64 {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let tensor = |i: usize, j: usize, value: f64| {
         let mut columns = [[0.0; 3]; 3];
@@ -112,8 +104,7 @@ fn largest_eigenvalue(
             }
         }
     }
-    let volumetric: [f64; 6] =
-        std::array::from_fn(|column| (0..3).map(|row| product[row][column]).sum());
+    let volumetric: [f64; 6] = std::array::from_fn(|column| (0..3).map(|row| product[row][column]).sum());
     for (k, row) in product.iter_mut().enumerate() {
         for (entry, sum) in row.iter_mut().zip(volumetric) {
             *entry = 2.0 * body.mu * *entry + if k < 3 { body.lambda * sum } else { 0.0 };
@@ -126,9 +117,7 @@ fn largest_eigenvalue(
         let trace: f64 = (0..6).map(|k| product[k][k]).sum();
         logarithm += share * trace.ln();
         let scaled = product.map(|row| row.map(|entry| entry / trace));
-        product = std::array::from_fn(|i| {
-            std::array::from_fn(|j| (0..6).map(|k| scaled[i][k] * scaled[k][j]).sum())
-        });
+        product = std::array::from_fn(|i| std::array::from_fn(|j| (0..6).map(|k| scaled[i][k] * scaled[k][j]).sum()));
         share *= 0.5;
     }
     let trace: f64 = (0..6).map(|k| product[k][k]).sum();

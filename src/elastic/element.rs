@@ -20,11 +20,8 @@ pub fn rest_shape([a, b, c, d]: [DVec3; 4]) -> ([DVec3; 4], f64) {
     let edges = DMat3::from_cols(b - a, c - a, d - a);
     let determinant = edges.determinant();
     // Rows of the inverse of the edges.
-    let gradients = [
-        edges.y_axis.cross(edges.z_axis),
-        edges.z_axis.cross(edges.x_axis),
-        edges.x_axis.cross(edges.y_axis),
-    ];
+    let gradients =
+        [edges.y_axis.cross(edges.z_axis), edges.z_axis.cross(edges.x_axis), edges.x_axis.cross(edges.y_axis)];
     let [g1, g2, g3] = gradients.map(|gradient| gradient / determinant);
     ([-(g1 + g2 + g3), g1, g2, g3], determinant / 6.0)
 }
@@ -49,20 +46,14 @@ pub struct Deformation {
 impl Deformation {
     /// `gradients`: of the shape functions at rest, 1/m. `u`: displacements of the corners, m.
     pub fn new(gradients: &[DVec3; 4], u: [DVec3; 4], model: ElasticModel) -> Deformation {
-        let gradient = (1..4)
-            .map(|a| outer(u[a] - u[0], gradients[a]))
-            .fold(DMat3::ZERO, |sum, part| sum + part);
+        let gradient = (1..4).map(|a| outer(u[a] - u[0], gradients[a])).fold(DMat3::ZERO, |sum, part| sum + part);
         let rotation = match model {
             ElasticModel::Corotational => rotation(DMat3::IDENTITY + gradient),
             ElasticModel::Linear => DMat3::IDENTITY,
         };
         // sym(R^T F) - I without cancellation.
         let turned_back = rotation.transpose() * (gradient + (DMat3::IDENTITY - rotation));
-        Deformation {
-            gradient,
-            rotation,
-            strain: 0.5 * (turned_back + turned_back.transpose()),
-        }
+        Deformation { gradient, rotation, strain: 0.5 * (turned_back + turned_back.transpose()) }
     }
 
     /// det F: 1 at rest, 0 for a flat element, negative for an inverted one.
@@ -88,13 +79,7 @@ pub fn von_mises(stress: DMat3) -> f64 {
 }
 
 /// (K x* - b) at the corners, N: minus the elastic forces on the nodes. They sum to 0.
-pub fn forces(
-    gradients: &[DVec3; 4],
-    volume: f64,
-    deformation: &Deformation,
-    lambda: f64,
-    mu: f64,
-) -> [DVec3; 4] {
+pub fn forces(gradients: &[DVec3; 4], volume: f64, deformation: &Deformation, lambda: f64, mu: f64) -> [DVec3; 4] {
     let turned = volume * deformation.rotation * stress(deformation.strain, lambda, mu);
     let [f1, f2, f3] = [1, 2, 3].map(|corner| turned * gradients[corner]);
     [-(f1 + f2 + f3), f1, f2, f3]

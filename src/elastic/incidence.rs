@@ -42,10 +42,8 @@ impl Incidence {
     pub fn new(n_nodes: usize, elements: &[[u32; 4]]) -> Incidence {
         let mut incidence = Incidence::default();
         incidence.set_corners(n_nodes, elements);
-        let rows: Vec<Vec<(u32, Joint)>> = (0..n_nodes)
-            .into_par_iter()
-            .map(|node| incidence.row(node, elements))
-            .collect();
+        let rows: Vec<Vec<(u32, Joint)>> =
+            (0..n_nodes).into_par_iter().map(|node| incidence.row(node, elements)).collect();
         incidence.row_start.push(0);
         for row in rows {
             let first = incidence.neighbours.len();
@@ -72,10 +70,7 @@ impl Incidence {
             start[node + 1] += start[node];
         }
         let mut next = start.clone();
-        let nobody = Corner {
-            element: 0,
-            corner: 0,
-        };
+        let nobody = Corner { element: 0, corner: 0 };
         self.corners = vec![nobody; 4 * elements.len()];
         for (element, nodes) in (0..).zip(elements) {
             for (corner, &node) in (0..).zip(nodes) {

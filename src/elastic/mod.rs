@@ -14,8 +14,7 @@ mod solids;
 
 pub use bounds::Bounds;
 pub use element::{
-    Deformation, energy_density, forces, lame_parameters, rest_shape, stiffness_block, stress,
-    von_mises,
+    Deformation, energy_density, forces, lame_parameters, rest_shape, stiffness_block, stress, von_mises,
 };
 pub use incidence::{Corner, Incidence, Joint};
 pub use loads::TimedLoad;

@@ -42,11 +42,7 @@ impl Solids {
         for (number, probe) in scene.probes.iter().enumerate() {
             let at = |key: &str| scene.at(&format!("probe[{number}].{key}"));
             let part = match &probe.kind {
-                ProbeKind::Node {
-                    solid,
-                    nodes,
-                    velocity,
-                } => ProbedPart {
+                ProbeKind::Node { solid, nodes, velocity } => ProbedPart {
                     nodes: match nodes {
                         ProbedNodes::Nearest(point) => {
                             vec![self.nearest_node(*solid, *point) as u32]
@@ -66,11 +62,7 @@ impl Solids {
                     };
                     nodes.retain(|&node| self.prescribed[node as usize] != [false; 3]);
                     if nodes.is_empty() {
-                        let place = if region.is_some() {
-                            " in the region"
-                        } else {
-                            ""
-                        };
+                        let place = if region.is_some() { " in the region" } else { "" };
                         return Err(Error::input(
                             at("reaction"),
                             format!("\"{}\" has no pinned or scripted node{place}", body.name),
@@ -81,10 +73,7 @@ impl Solids {
                         let mut corners = self.elements[*element].iter();
                         corners.any(|corner| nodes.binary_search(corner).is_ok())
                     };
-                    ProbedPart {
-                        elements: body.elements.clone().filter(touches).collect(),
-                        nodes,
-                    }
+                    ProbedPart { elements: body.elements.clone().filter(touches).collect(), nodes }
                 }
                 _ => ProbedPart::default(),
             };
@@ -101,25 +90,16 @@ impl Solids {
     /// - Force: sum over the nodes, N.
     /// - Reaction: force of pins and scripts, N, from the equation of motion of the nodes.
     pub fn probe(&self, scene: &Scene, number: usize, nodes: &NodeReadback) -> Vec<f64> {
-        let NodeReadback {
-            displacement,
-            velocity,
-            forces,
-            ..
-        } = nodes;
+        let NodeReadback { displacement, velocity, forces, .. } = nodes;
         match scene.probes[number].kind {
             ProbeKind::Node { velocity: of_v, .. } => {
                 let values = if of_v { velocity } else { displacement };
                 let nodes = &self.probed[number].nodes;
-                let sum: DVec3 = nodes
-                    .iter()
-                    .map(|&node| DVec3::from(values[node as usize]))
-                    .sum();
+                let sum: DVec3 = nodes.iter().map(|&node| DVec3::from(values[node as usize])).sum();
                 (sum / nodes.len() as f64).to_array().to_vec()
             }
             ProbeKind::Solid { solid } => {
-                let position =
-                    |node: usize| self.rest[node] + DVec3::from_array(displacement[node]);
+                let position = |node: usize| self.rest[node] + DVec3::from_array(displacement[node]);
                 let body = &self.bodies[solid];
                 let centre = self.mean(body, position);
                 let rest_volume: f64 = self.volume[body.elements.clone()].iter().sum();
@@ -164,13 +144,7 @@ impl Solids {
     ///
     /// with the forces F of the liquid. v_old is the velocity of the scripts in a sub-step before, of the same length.
     fn reaction(&self, scene: &Scene, part: &ProbedPart, readback: &NodeReadback) -> DVec3 {
-        let NodeReadback {
-            displacement,
-            velocity,
-            forces: liquid,
-            time,
-            dt,
-        } = readback;
+        let NodeReadback { displacement, velocity, forces: liquid, time, dt } = readback;
         let mut sums = vec![DVec3::ZERO; part.nodes.len()];
         for &element in &part.elements {
             let body = self.body_of_element(element);
@@ -181,12 +155,9 @@ impl Solids {
             let rate = rest.into_iter().zip(&gradients[1..]);
             let rate = rate.fold(DMat3::ZERO, |sum, (v, g)| sum + outer(v - v0, *g));
             let turned = deformation.rotation.transpose() * rate;
-            let rate = Deformation {
-                strain: 0.5 * (turned + turned.transpose()),
-                ..deformation
-            };
-            let [elastic, viscous] = [deformation, rate]
-                .map(|deformation| forces(gradients, volume, &deformation, body.lambda, body.mu));
+            let rate = Deformation { strain: 0.5 * (turned + turned.transpose()), ..deformation };
+            let [elastic, viscous] =
+                [deformation, rate].map(|deformation| forces(gradients, volume, &deformation, body.lambda, body.mu));
             for (corner, node) in corners.iter().enumerate() {
                 if let Ok(place) = part.nodes.binary_search(node) {
                     sums[place] += elastic[corner] + body.zeta_stiffness(*dt) * viscous[corner];
@@ -229,9 +200,7 @@ impl Solids {
     pub fn nearest_node(&self, solid: usize, rest_point: DVec3) -> usize {
         let nodes = self.bodies[solid].nodes.clone();
         let distance = |node: &usize| self.rest[*node].distance_squared(rest_point);
-        nodes
-            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-            .expect("a solid has nodes")
+        nodes.min_by(|a, b| distance(a).total_cmp(&distance(b))).expect("a solid has nodes")
     }
 }
 

@@ -62,11 +62,7 @@ pub fn rotation(f: DMat3) -> DMat3 {
     } else {
         // All rotations about u1 are equally near; this one changes the other directions least.
         let [_, v2, v3] = [v.x_axis, v.y_axis, v.z_axis];
-        if v2.dot(u1).abs() <= v3.dot(u1).abs() {
-            frame(u1, v2)
-        } else {
-            frame(u1, v3.cross(u1))
-        }
+        if v2.dot(u1).abs() <= v3.dot(u1).abs() { frame(u1, v2) } else { frame(u1, v3.cross(u1)) }
     };
     u * v.transpose()
 }

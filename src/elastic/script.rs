@@ -8,9 +8,8 @@ use crate::scene::{Acceleration, Keyframe, Scene};
 impl Solids {
     /// Upper bound of the speed of scripted nodes between a time and `span` (both s) later, m/s.
     pub fn max_script_speed(&self, time: f64, span: f64) -> f64 {
-        let speeds = self
-            .scripts_and_radii()
-            .map(|(script, radius)| Keyframe::max_speed(&script.keyframes, radius, time, span));
+        let speeds =
+            self.scripts_and_radii().map(|(script, radius)| Keyframe::max_speed(&script.keyframes, radius, time, span));
         speeds.fold(0.0, f64::max)
     }
 

@@ -5,8 +5,7 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::{
-    Body, Deformation, Pivot, RotatingBody, Script, Solids, TimedLoad, lame_parameters, rest_shape,
-    stress, von_mises,
+    Body, Deformation, Pivot, RotatingBody, Script, Solids, TimedLoad, lame_parameters, rest_shape, stress, von_mises,
 };
 use crate::error::{Error, rounded};
 use crate::geometry::{MovedMesh, TetMesh, bounds, deepest_obstacle, inside};
@@ -28,11 +27,7 @@ impl Solids {
     }
 
     /// Solids without a scene; `at` returns the origin of a key for errors.
-    pub fn from_solids(
-        solids: &[Solid],
-        meshes: &[TetMesh],
-        at: &dyn Fn(&str) -> String,
-    ) -> Result<Solids, Error> {
+    pub fn from_solids(solids: &[Solid], meshes: &[TetMesh], at: &dyn Fn(&str) -> String) -> Result<Solids, Error> {
         let mut all = Solids::default();
         for (number, (solid, mesh)) in solids.iter().zip(meshes).enumerate() {
             all.push(solid, mesh, &|key| at(&format!("solid[{number}].{key}")))?;
@@ -41,12 +36,7 @@ impl Solids {
     }
 
     /// `at`: origin of a key of the solid.
-    fn push(
-        &mut self,
-        solid: &Solid,
-        mesh: &TetMesh,
-        at: &dyn Fn(&str) -> String,
-    ) -> Result<(), Error> {
+    fn push(&mut self, solid: &Solid, mesh: &TetMesh, at: &dyn Fn(&str) -> String) -> Result<(), Error> {
         let first_node = self.rest.len();
         let (first_element, first_triangle) = (self.elements.len(), self.triangles.len());
         let n_nodes = first_node + mesh.nodes.len();
@@ -66,8 +56,7 @@ impl Solids {
             self.volume.push(volume);
         }
         let surface = mesh.surface().into_iter();
-        self.triangles
-            .extend(surface.map(|triangle| triangle.map(shifted)));
+        self.triangles.extend(surface.map(|triangle| triangle.map(shifted)));
         let [lambda, mu] = lame_parameters(solid.young, solid.poisson);
         let body = Body {
             name: solid.name.clone(),
@@ -141,12 +130,7 @@ impl Solids {
                 ));
             }
         };
-        self.scripts.push(Script {
-            nodes,
-            components: pin.components,
-            centre,
-            keyframes: pin.keyframes.clone(),
-        });
+        self.scripts.push(Script { nodes, components: pin.components, centre, keyframes: pin.keyframes.clone() });
         Ok(())
     }
 
@@ -187,35 +171,22 @@ impl Solids {
                 self.constant_load[node as usize] += weight * value / divisor;
             }
         } else {
-            self.timed_loads.push(TimedLoad {
-                weights,
-                divisor,
-                keyframes: load.keyframes.clone(),
-            });
+            self.timed_loads.push(TimedLoad { weights, divisor, keyframes: load.keyframes.clone() });
         }
         Ok(())
     }
 
     /// Nodes of a body that rest inside a shape or on it, ascending. An empty list is an error.
-    pub(super) fn nodes_in(
-        &self,
-        body: &Body,
-        shape: &Shape,
-        name: &str,
-    ) -> Result<Vec<u32>, Error> {
+    pub(super) fn nodes_in(&self, body: &Body, shape: &Shape, name: &str) -> Result<Vec<u32>, Error> {
         let rest = &self.rest[body.nodes.clone()];
         let inside = inside(shape, rest)?;
         let nodes = body.nodes.clone().zip(inside);
-        let nodes: Vec<u32> = nodes
-            .filter(|(_, inside)| *inside)
-            .map(|(node, _)| node as u32)
-            .collect();
+        let nodes: Vec<u32> = nodes.filter(|(_, inside)| *inside).map(|(node, _)| node as u32).collect();
         if nodes.is_empty() {
             let [low, high] = bounds(rest.iter().copied());
             let [low, high] = [low, high].map(|x| DVec3::from(x.to_array().map(rounded)));
             let problem = format!("no node of \"{}\" rests in the region", body.name);
-            let cure =
-                format!("the nodes lie between {low} and {high} m: move or enlarge the region");
+            let cure = format!("the nodes lie between {low} and {high} m: move or enlarge the region");
             return Err(Error::input(name, problem, cure));
         }
         Ok(nodes)
@@ -271,12 +242,7 @@ impl Solids {
     /// A step computes them after moving its nodes, and the next step moves with them. Nodes are exactly on their scripts
     /// for equal step lengths, else they lag by acceleration times the change of length. The first step uses
     /// [`Solids::start_scripts`].
-    pub fn prescribed_velocity(
-        &self,
-        displacement: &[[f64; 3]],
-        time: f64,
-        dt: f64,
-    ) -> Vec<[f64; 3]> {
+    pub fn prescribed_velocity(&self, displacement: &[[f64; 3]], time: f64, dt: f64) -> Vec<[f64; 3]> {
         if self.scripts.is_empty() {
             return Vec::new();
         }
@@ -313,11 +279,7 @@ impl Solids {
             nodes: nodes.map(|(rest, u)| rest + DVec3::from(*u)).collect(),
             elements: &self.elements,
             triangles: &self.triangles,
-            bodies: self
-                .bodies
-                .iter()
-                .map(|body| body.elements.clone())
-                .collect(),
+            bodies: self.bodies.iter().map(|body| body.elements.clone()).collect(),
         }
     }
 
@@ -392,9 +354,7 @@ impl Solids {
 
     /// The body of an element.
     pub fn body_of_element(&self, element: usize) -> &Body {
-        &self.bodies[self
-            .bodies
-            .partition_point(|body| body.elements.end <= element)]
+        &self.bodies[self.bodies.partition_point(|body| body.elements.end <= element)]
     }
 
     /// The body of a node.
@@ -441,9 +401,7 @@ impl Solids {
                 if (x - x.clamp(DVec3::ZERO, size)).abs().max_element() > slack {
                     return Err(Error::input(
                         what,
-                        format!(
-                            "starts outside the domain: it has a node at {x} m, and the domain ends at {size} m"
-                        ),
+                        format!("starts outside the domain: it has a node at {x} m, and the domain ends at {size} m"),
                         "move it with placement.at, the position of its centre, or shrink it: units = \"mm\" beside the file of a mesh in mm",
                     ));
                 }
@@ -462,10 +420,7 @@ impl Solids {
                 let [x, y, z] = place.to_array().map(rounded);
                 return Err(Error::input(
                     what,
-                    format!(
-                        "starts {} m deep in {obstacle}, with its node at [{x}, {y}, {z}] m",
-                        rounded(-deepest)
-                    ),
+                    format!("starts {} m deep in {obstacle}, with its node at [{x}, {y}, {z}] m", rounded(-deepest)),
                     "move the solid or the obstacle, or constrain the nodes in it with a [[solid.pin]]",
                 ));
             }
@@ -481,9 +436,7 @@ const WALL_TOLERANCE: f64 = 1e-6;
 fn key(pins: &[Pin], number: usize) -> String {
     let still = pins[number].keyframes.is_empty();
     let before = pins[..number].iter();
-    let count = before
-        .filter(|pin| pin.keyframes.is_empty() == still)
-        .count();
+    let count = before.filter(|pin| pin.keyframes.is_empty() == still).count();
     format!("{}[{count}]", if still { "pin" } else { "script" })
 }
 

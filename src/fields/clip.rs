@@ -71,20 +71,12 @@ impl ClipSize {
     /// 1.5 times the capacity, because moving bodies cut other cells in later sub-steps.
     pub fn ample(self) -> ClipSize {
         let ample = |n: usize| n + n / 2 + 64;
-        ClipSize {
-            quads: ample(self.quads),
-            places: ample(self.places),
-            ..self
-        }
+        ClipSize { quads: ample(self.quads), places: ample(self.places), ..self }
     }
 
     /// The larger of both, per list.
     pub fn joined(self, other: ClipSize) -> ClipSize {
-        ClipSize {
-            quads: self.quads.max(other.quads),
-            places: self.places.max(other.places),
-            ..self
-        }
+        ClipSize { quads: self.quads.max(other.quads), places: self.places.max(other.places), ..self }
     }
 }
 
@@ -125,10 +117,7 @@ impl ClipBuffers {
 
     /// Allocates another capacity and preserves the record of differing quads.
     pub fn resized(&self, gpu: &Gpu, size: ClipSize) -> Result<ClipBuffers, Error> {
-        Ok(ClipBuffers {
-            differing: self.differing.clone(),
-            ..ClipBuffers::new(gpu, &self.grid, size)?
-        })
+        Ok(ClipBuffers { differing: self.differing.clone(), ..ClipBuffers::new(gpu, &self.grid, size)? })
     }
 
     /// Number of quads whose values on the device differ from those of the static obstacles.
@@ -139,8 +128,7 @@ impl ClipBuffers {
     /// Whether the capacity suffices for a clipping, written after the one on the device.
     pub fn fits(&self, clip: &SolidClip) -> bool {
         let now = cut_quads(&self.padded, &self.grid, clip).len();
-        now + self.differing.len() <= self.size.quads
-            && clip.moving_walls().len() <= self.size.places
+        now + self.differing.len() <= self.size.quads && clip.moving_walls().len() <= self.size.places
     }
 
     /// Writes a clipping, before all work submitted later. `triangles` contains the nodes of the surface triangles.
@@ -176,11 +164,8 @@ impl ClipBuffers {
         for (cell, _) in clip.coupling().cells() {
             words[at(cell).0] |= WET;
         }
-        let entries: Vec<CutQuad> = listed
-            .iter()
-            .zip(&words)
-            .map(|(&quad, &walls)| self.cut_quad(clip, quad, walls))
-            .collect();
+        let entries: Vec<CutQuad> =
+            listed.iter().zip(&words).map(|(&quad, &walls)| self.cut_quad(clip, quad, walls)).collect();
         let places: Vec<[u32; 4]> = near
             .iter()
             .flat_map(|place| match place {
@@ -247,9 +232,7 @@ fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
     let faces = faces.flat_map(|(axis, faces)| faces.iter().map(move |&f| grid.face_at(axis, f)));
     let solid_cells = clip.coupling().cells().map(|(cell, _)| cell);
     let obstacle_cells = clip.obstacles().flux().iter().map(|&(cell, _)| cell);
-    let patches = solid_cells
-        .chain(obstacle_cells)
-        .map(|cell| grid.cell_at(cell));
+    let patches = solid_cells.chain(obstacle_cells).map(|cell| grid.cell_at(cell));
     let all = cells.chain(faces).chain(patches);
     let mut quads: Vec<u32> = all.map(|at| (padded.index(at) / 4) as u32).collect();
     quads.sort_unstable();

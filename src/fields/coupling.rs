@@ -188,10 +188,7 @@ impl CouplingBuffers {
         for node in 0..self.n_nodes {
             node_starts[node + 1] += node_starts[node];
         }
-        let by_node: Vec<[u32; 4]> = by_node
-            .iter()
-            .map(|pair| words(pair.value, pair.cell as u32))
-            .collect();
+        let by_node: Vec<[u32; 4]> = by_node.iter().map(|pair| words(pair.value, pair.cell as u32)).collect();
         let n_wet = quads.len() as u32;
         let coupling = Coupling {
             n_wet,
@@ -207,11 +204,7 @@ impl CouplingBuffers {
         all.append(&mut starts);
         all.append(&mut node_starts);
         let mut sizes = Vec::new();
-        for (n, per_group) in [
-            (self.n_nodes as u32, WG_SIZE),
-            (self.n_bodies as u32, 1),
-            (n_wet, WG_SIZE),
-        ] {
+        for (n, per_group) in [(self.n_nodes as u32, WG_SIZE), (self.n_bodies as u32, 1), (n_wet, WG_SIZE)] {
             sizes.extend(groups(n.div_ceil(per_group)));
             sizes.push(n);
         }

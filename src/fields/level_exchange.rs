@@ -67,9 +67,7 @@ impl LevelExchange {
         let outlets = Axis::ALL.into_iter().flat_map(|axis| {
             (0..grid.n_faces(axis)).filter_map(move |face| {
                 let ijk = grid.face_at(axis, face);
-                let side = grid
-                    .wall(axis, ijk)
-                    .filter(|&side| open_sides.has(axis, side))?;
+                let side = grid.wall(axis, ijk).filter(|&side| open_sides.has(axis, side))?;
                 let cell = grid.face_sides(axis, ijk)[1 - side]?;
                 let at = axis.index() * padded.len() + padded.index(ijk);
                 Some((index(cell), at as u32 | (PLUS_SIDE * side as u32)))
@@ -92,10 +90,7 @@ impl LevelExchange {
             taps.source_cells.len(),
             taps.n_sources(),
         )?;
-        let lists = [
-            (&exchange.outlet_cells, outlet_cells),
-            (&exchange.outlet_faces, outlet_faces),
-        ];
+        let lists = [(&exchange.outlet_cells, outlet_cells), (&exchange.outlet_faces, outlet_faces)];
         for (array, values) in lists {
             if let Some(array) = array {
                 gpu.upload(array, &values);
@@ -118,13 +113,7 @@ impl LevelExchange {
     }
 
     /// Writes the volumes that the sources emit in a sub-step of dt (s).
-    pub fn write_step(
-        &self,
-        gpu: &Gpu,
-        taps: &SourcesAndSinks,
-        sources: Running,
-        (dt, cell_volume): (f64, f64),
-    ) {
+    pub fn write_step(&self, gpu: &Gpu, taps: &SourcesAndSinks, sources: Running, (dt, cell_volume): (f64, f64)) {
         if let Some(array) = &self.inflows {
             let volume = |source| taps.inflow(sources, source, dt) / cell_volume;
             let inflows = (0..array.len() as u32).map(|source| volume(source) as f32);

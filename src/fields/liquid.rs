@@ -58,9 +58,7 @@ pub struct LiquidPlan {
 impl LiquidPlan {
     /// Threads of a reduction: enough for a large device, fewer on small grids. Each sums its own share of the band.
     pub fn n_summing(&self) -> usize {
-        (self.grid.padded().quads / 8)
-            .next_multiple_of(WG_SIZE as usize)
-            .min(LARGEST_SUMMING)
+        (self.grid.padded().quads / 8).next_multiple_of(WG_SIZE as usize).min(LARGEST_SUMMING)
     }
 
     /// The tiles of the grid.
@@ -115,11 +113,7 @@ impl Tiles {
             n: cells.map(|n| (n / TILE + 1) as u32),
             reach: reach.div_ceil(TILE) as u32,
             air: if effects.level { 5 } else { 1 },
-            moves: if effects.level {
-                cfl.ceil() as u32 + 1
-            } else {
-                0
-            },
+            moves: if effects.level { cfl.ceil() as u32 + 1 } else { 0 },
             pad_0: 0,
             pad_1: 0,
         }
@@ -310,12 +304,8 @@ impl LiquidBuffers {
         let grid = &self.plan.grid;
         if let Some(occupied) = &self.occupied {
             // A lane has room where its cell exists and its centre is outside all solids.
-            let room = self
-                .padded
-                .pad(grid.cells, &cut.solid_distance, |d| d >= 0.0);
-            let no_room = |lanes: &[bool]| {
-                (0..4).fold(0, |bits, lane| bits | u32::from(!lanes[lane]) << lane)
-            };
+            let room = self.padded.pad(grid.cells, &cut.solid_distance, |d| d >= 0.0);
+            let no_room = |lanes: &[bool]| (0..4).fold(0, |bits, lane| bits | u32::from(!lanes[lane]) << lane);
             let words: Vec<u32> = room.chunks_exact(4).map(no_room).collect();
             gpu.upload(occupied, &words);
         }
@@ -347,10 +337,7 @@ impl LiquidBuffers {
         gpu.upload(&self.band_list, &list);
         gpu.upload(&self.band_args, &[x, y, z, n]);
         if let Some(markers) = &self.markers {
-            let alive = state
-                .markers
-                .iter()
-                .map(|x| [x[0] as f32, x[1] as f32, x[2] as f32, 1.0]);
+            let alive = state.markers.iter().map(|x| [x[0] as f32, x[1] as f32, x[2] as f32, 1.0]);
             let mut positions: Vec<[f32; 4]> = alive.collect();
             positions.resize(positions.len().max(markers.len()), [0.0; 4]);
             gpu.upload(markers, &positions);
@@ -358,12 +345,7 @@ impl LiquidBuffers {
             // A fixed surface does not move: the tiles with liquid are known.
             let tiles = self.plan.tiles();
             let mut marks = vec![0; tiles.len()];
-            for (cell, _) in state
-                .liquid_distance
-                .iter()
-                .enumerate()
-                .filter(|(_, phi)| **phi < 0.0)
-            {
+            for (cell, _) in state.liquid_distance.iter().enumerate().filter(|(_, phi)| **phi < 0.0) {
                 marks[tiles.of(grid.cell_at(cell))] = 1;
             }
             gpu.upload(&self.marks, &marks);
@@ -373,28 +355,17 @@ impl LiquidBuffers {
 
     /// Waits for all submitted work and reads velocities, live markers and liquid distance into a state. Returns which of the
     /// first `n_markers` slots are alive.
-    pub fn read_state(
-        &self,
-        gpu: &Gpu,
-        n_markers: usize,
-        state: &mut State,
-    ) -> Result<Vec<bool>, Error> {
+    pub fn read_state(&self, gpu: &Gpu, n_markers: usize, state: &mut State) -> Result<Vec<bool>, Error> {
         state.velocity = self.read_faces(gpu, &self.velocity)?;
-        state.liquid_distance = self.padded.unpad(
-            self.plan.grid.cells,
-            &gpu.download(&self.liquid_distance)?,
-            f64::from,
-        );
+        state.liquid_distance =
+            self.padded.unpad(self.plan.grid.cells, &gpu.download(&self.liquid_distance)?, f64::from);
         let Some(markers) = &self.markers else {
             return Ok(Vec::new());
         };
         let positions = gpu.download(markers)?;
         let used = &positions[..n_markers];
-        state.markers = used
-            .iter()
-            .filter(|marker| marker[3] != 0.0)
-            .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
-            .collect();
+        state.markers =
+            used.iter().filter(|marker| marker[3] != 0.0).map(|&[x, y, z, _]| [x, y, z].map(f64::from)).collect();
         Ok(used.iter().map(|marker| marker[3] != 0.0).collect())
     }
 
@@ -443,8 +414,7 @@ impl LiquidBuffers {
         let len = self.padded.len();
         Ok(Axis::ALL.map(|axis| {
             let field = &device[axis.index() * len..][..len];
-            self.padded
-                .unpad(self.plan.grid.faces(axis), field, f64::from)
+            self.padded.unpad(self.plan.grid.faces(axis), field, f64::from)
         }))
     }
 
@@ -454,8 +424,7 @@ impl LiquidBuffers {
             .iter()
             .flat_map(|&axis| {
                 let values = &faces[axis.index()];
-                self.padded
-                    .pad(self.plan.grid.faces(axis), values, |v| v as f32)
+                self.padded.pad(self.plan.grid.faces(axis), values, |v| v as f32)
             })
             .collect()
     }

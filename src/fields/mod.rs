@@ -135,11 +135,7 @@ mod tests {
     #[test]
     fn shared_memory_is_never_needed_twice() {
         assert!(!LiquidBuffers::SHARED.is_empty());
-        let tables = [
-            LevelBuffers::SHARED,
-            LiquidBuffers::SHARED,
-            SolidBuffers::SHARED,
-        ];
+        let tables = [LevelBuffers::SHARED, LiquidBuffers::SHARED, SolidBuffers::SHARED];
         for shared in tables.into_iter().flatten() {
             let ([first, last], [from, to]) = (shared.used, shared.free);
             // Free stages that wrap around the end of a sub-step are those before `to` and after `from`.

@@ -50,22 +50,14 @@ impl LevelPlan {
             .iter()
             .position(|level| level.quads <= TAIL_QUADS)
             .expect("a level of one cell fits the tail");
-        assert!(
-            levels.len() - tail <= TAIL_LEVELS,
-            "TAIL_QUADS quads are a row of less than 128 cells at most"
-        );
+        assert!(levels.len() - tail <= TAIL_LEVELS, "TAIL_QUADS quads are a row of less than 128 cells at most");
         let mut first = Vec::new();
         let mut total = 0;
         for level in &levels {
             first.push(total);
             total += level.quads;
         }
-        LevelPlan {
-            levels,
-            first,
-            total,
-            tail,
-        }
+        LevelPlan { levels, first, total, tail }
     }
 
     /// Padded cells of the finest level.
@@ -93,11 +85,7 @@ impl LevelPlan {
 pub fn variant(f64: bool, precision: Precision) -> Variant {
     match precision {
         Precision::F32 => Real::F32.into(),
-        Precision::Mixed if f64 => Variant {
-            real: Real::F64,
-            inner: Real::F32,
-            moving_obstacles: false,
-        },
+        Precision::Mixed if f64 => Variant { real: Real::F64, inner: Real::F32, moving_obstacles: false },
         Precision::Mixed => Real::F32.into(),
         Precision::F64 => Real::F64.into(),
     }
@@ -106,8 +94,7 @@ pub fn variant(f64: bool, precision: Precision) -> Variant {
 /// Refuses a precision that the adapter has not.
 pub(crate) fn check_precision(gpu: &Gpu, precision: Precision) -> Result<(), Error> {
     // A plan is checked as a whole.
-    gpu.report()
-        .check_precision(precision == Precision::F64 && !gpu.is_planning())
+    gpu.report().check_precision(precision == Precision::F64 && !gpu.is_planning())
 }
 
 arrays! {

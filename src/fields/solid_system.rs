@@ -152,8 +152,7 @@ impl SolidRows {
                         self.neighbours.push(node.unwrap_or(0));
                         continue;
                     };
-                    self.neighbours
-                        .push(incidence.neighbours(node as usize)[column]);
+                    self.neighbours.push(incidence.neighbours(node as usize)[column]);
                     joints.extend(incidence.joints(block).iter().map(|joint| {
                         let [row, column] = joint.corners.map(u32::from);
                         16 * joint.element + 4 * row + column
@@ -263,25 +262,13 @@ impl SolidSystemBuffers {
     ///
     /// # Errors
     /// [`Error::Limit`] where the adapter is too small, or has no f64 and the precision needs it.
-    pub fn new(
-        gpu: &Gpu,
-        layout: &SolidRows,
-        solver: &Solver,
-    ) -> Result<SolidSystemBuffers, Error> {
+    pub fn new(gpu: &Gpu, layout: &SolidRows, solver: &Solver) -> Result<SolidSystemBuffers, Error> {
         check_precision(gpu, solver.precision)?;
         let variant = variant(gpu.has_f64(), solver.precision);
         let sizes = layout.rows;
-        let to_host = (variant.real == Real::F32)
-            .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
-            .transpose()?;
-        let buffers = SolidSystemBuffers::allocate(
-            gpu,
-            variant,
-            sizes,
-            solver.solid_contact,
-            layout.clone(),
-            to_host,
-        )?;
+        let to_host =
+            (variant.real == Real::F32).then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new)).transpose()?;
+        let buffers = SolidSystemBuffers::allocate(gpu, variant, sizes, solver.solid_contact, layout.clone(), to_host)?;
         let mut args = Vec::new();
         for n in [sizes.n_nodes.div_ceil(WG_SIZE), sizes.n_bodies] {
             args.extend(groups(n));

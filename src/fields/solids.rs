@@ -158,12 +158,7 @@ impl SolidBuffers {
     /// When the solids differ from `plan`.
     pub fn new(gpu: &Gpu, plan: SolidPlan, solids: &Solids) -> Result<SolidBuffers, Error> {
         assert_eq!(
-            (
-                solids.rest.len(),
-                solids.elements.len(),
-                solids.rotating_bodies().count(),
-                solids.free_bodies().count()
-            ),
+            (solids.rest.len(), solids.elements.len(), solids.rotating_bodies().count(), solids.free_bodies().count()),
             (plan.n_nodes, plan.n_elements, plan.n_turning, plan.n_free),
             "nodes, elements, turning and free bodies of the plan"
         );
@@ -177,11 +172,7 @@ impl SolidBuffers {
 
     /// Writes the motions of the moving obstacles, before all work submitted later.
     pub fn write_motions(&self, gpu: &Gpu, field: &ContactField) {
-        let Some((cells, motions)) = self
-            .obstacle_of_cell
-            .as_ref()
-            .zip(self.obstacle_motions.as_ref())
-        else {
+        let Some((cells, motions)) = self.obstacle_of_cell.as_ref().zip(self.obstacle_motions.as_ref()) else {
             return;
         };
         let padded = self.plan.grid.padded();
@@ -194,12 +185,8 @@ impl SolidBuffers {
     }
 
     fn write_nodes(&self, gpu: &Gpu, solids: &Solids) {
-        let rest: Vec<[f32; 4]> = solids
-            .rest
-            .iter()
-            .zip(&solids.mass)
-            .map(|(x, &mass)| x.extend(mass).as_vec4().to_array())
-            .collect();
+        let rest: Vec<[f32; 4]> =
+            solids.rest.iter().zip(&solids.mass).map(|(x, &mass)| x.extend(mass).as_vec4().to_array()).collect();
         gpu.upload(&self.rest, &rest);
         if let Some(turning) = &self.turning {
             let bodies = solids.rotating_bodies();
@@ -284,10 +271,8 @@ impl SolidBuffers {
     pub fn write_prescribed(&self, gpu: &Gpu, velocities: &[[f64; 3]]) {
         if self.plan.scripts {
             assert_eq!(velocities.len(), self.plan.n_nodes, "prescribed velocities");
-            let words: Vec<[f32; 4]> = velocities
-                .iter()
-                .map(|v| [v[0] as f32, v[1] as f32, v[2] as f32, 0.0])
-                .collect();
+            let words: Vec<[f32; 4]> =
+                velocities.iter().map(|v| [v[0] as f32, v[1] as f32, v[2] as f32, 0.0]).collect();
             gpu.upload(&self.prescribed, &words);
         }
     }
@@ -300,11 +285,7 @@ impl SolidBuffers {
     /// When the state has another number of nodes.
     pub fn write_state(&self, gpu: &Gpu, state: &State) {
         let n = self.plan.n_nodes;
-        assert_eq!(
-            (state.displacement.len(), state.node_velocity.len()),
-            (n, n),
-            "nodes of the state"
-        );
+        assert_eq!((state.displacement.len(), state.node_velocity.len()), (n, n), "nodes of the state");
         let mut displacement = vec![[0.0; 4]; 2 * n];
         for (node, u) in state.displacement.iter().enumerate() {
             for (axis, &u) in u.iter().enumerate() {
@@ -330,10 +311,7 @@ impl SolidBuffers {
         let displacement = gpu.download(&self.displacement)?;
         state.displacement = self.displacement_of(&displacement);
         let velocity = self.velocity.download(gpu)?;
-        state.node_velocity = velocity
-            .chunks_exact(4)
-            .map(|v| [v[0], v[1], v[2]])
-            .collect();
+        state.node_velocity = velocity.chunks_exact(4).map(|v| [v[0], v[1], v[2]]).collect();
         Ok(())
     }
 
@@ -341,10 +319,6 @@ impl SolidBuffers {
     pub fn displacement_of(&self, displacement: &[[f32; 4]]) -> Vec<[f64; 3]> {
         let (high, low) = displacement.split_at(self.plan.n_nodes);
         let nodes = high.iter().zip(low);
-        nodes
-            .map(|(high, low)| {
-                std::array::from_fn(|axis| f64::from(high[axis]) + f64::from(low[axis]))
-            })
-            .collect()
+        nodes.map(|(high, low)| std::array::from_fn(|axis| f64::from(high[axis]) + f64::from(low[axis]))).collect()
     }
 }

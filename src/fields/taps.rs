@@ -2,9 +2,7 @@
 
 use crate::Error;
 use crate::arrays;
-use crate::geometry::{
-    Lattice, MARKERS_PER_CELL, MOST_SITES, Running, SourceFace, SourcesAndSinks,
-};
+use crate::geometry::{Lattice, MARKERS_PER_CELL, MOST_SITES, Running, SourceFace, SourcesAndSinks};
 use crate::gpu::Gpu;
 use crate::grid::Grid;
 
@@ -49,20 +47,8 @@ pub struct SourceStep {
 impl SourceStep {
     /// The state of running sources; their new markers start at slot `first`.
     pub fn new(sources: Running, first: usize) -> SourceStep {
-        let Running {
-            running,
-            starting,
-            seed,
-            step,
-        } = sources;
-        SourceStep {
-            running,
-            starting,
-            first: first as u32,
-            seed,
-            number: step,
-            ..SourceStep::default()
-        }
+        let Running { running, starting, seed, step } = sources;
+        SourceStep { running, starting, first: first as u32, seed, number: step, ..SourceStep::default() }
     }
 }
 
@@ -171,11 +157,7 @@ arrays! {
 
 impl Sinks {
     /// Allocates and writes the cells. Returns `None` without sinks.
-    pub fn new(
-        gpu: &Gpu,
-        liquid: &LiquidBuffers,
-        taps: &SourcesAndSinks,
-    ) -> Result<Option<Sinks>, Error> {
+    pub fn new(gpu: &Gpu, liquid: &LiquidBuffers, taps: &SourcesAndSinks) -> Result<Option<Sinks>, Error> {
         if liquid.markers.is_none() || taps.sink_cells.is_empty() {
             return Ok(None);
         }
@@ -231,11 +213,7 @@ arrays! {
 
 impl Sources {
     /// Allocates and writes cells and faces. Returns `None` without sources.
-    pub fn new(
-        gpu: &Gpu,
-        liquid: &LiquidBuffers,
-        taps: &SourcesAndSinks,
-    ) -> Result<Option<Sources>, Error> {
+    pub fn new(gpu: &Gpu, liquid: &LiquidBuffers, taps: &SourcesAndSinks) -> Result<Option<Sources>, Error> {
         if liquid.markers.is_none() || taps.source_cells.is_empty() {
             return Ok(None);
         }
@@ -245,18 +223,14 @@ impl Sources {
             let [i, j, k] = grid.cell_at(cell).map(|n| n as u32);
             [i, j, k, source | u32::from(eighths) << 8]
         });
-        let faces = taps
-            .faces
-            .iter()
-            .map(|face| DeviceSourceFace::new(grid, face));
+        let faces = taps.faces.iter().map(|face| DeviceSourceFace::new(grid, face));
         let (regions, map) = source_boxes(grid, taps);
         let (n_cells, n_faces) = (taps.source_cells.len(), taps.faces.len());
         let n_lattices = match liquid.plan.effects.level {
             true => taps.n_sources(),
             false => 0,
         };
-        let sources =
-            Sources::allocate(gpu, n_cells, n_faces, regions.len(), map.len(), n_lattices)?;
+        let sources = Sources::allocate(gpu, n_cells, n_faces, regions.len(), map.len(), n_lattices)?;
         gpu.upload(&sources.regions, &regions);
         gpu.upload(&sources.map, &map);
         gpu.upload(&sources.cells, &cells.collect::<Vec<_>>());

@@ -67,19 +67,10 @@ impl Skin {
         let nodes: Vec<u32> = nodes.into_iter().collect();
         let vertices: Vec<DVec3> = nodes.iter().map(|&node| positions[node as usize]).collect();
         let local = |node: u32| nodes.partition_point(|&other| other < node) as u32;
-        let faces = triangles
-            .iter()
-            .map(|triangle| triangle.map(local))
-            .collect();
+        let faces = triangles.iter().map(|triangle| triangle.map(local)).collect();
         let [low, high] = super::bounds(vertices.iter().copied());
         let mesh = TriMesh::with_flags(vertices, faces, TriMeshFlags::ORIENTED).ok()?;
-        Some(Skin {
-            mesh,
-            edges: sharp_edges(positions, triangles),
-            nodes,
-            low,
-            high,
-        })
+        Some(Skin { mesh, edges: sharp_edges(positions, triangles), nodes, low, high })
     }
 
     /// Whether the box of some points is within `reach` (m) of the body's.
@@ -98,8 +89,7 @@ impl Skin {
     /// The pair of a node (m) of another body and the nearest point of this surface within `reach` (m).
     fn beside(&self, node: u32, x: DVec3, reach: f64) -> Option<ContactPair> {
         let mesh = &self.mesh;
-        let (nearest, (face, at)) =
-            mesh.project_local_point_and_get_location_with_max_dist(x, false, reach)?;
+        let (nearest, (face, at)) = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach)?;
         let weights = at.barycentric_coordinates()?;
         let sign = if nearest.is_inside { -1.0 } else { 1.0 };
         let (arm, distance) = (x - nearest.point, x.distance(nearest.point));
@@ -118,11 +108,7 @@ impl ContactPair {
     fn new(points: impl Iterator<Item = (u32, f64)>, normal: DVec3, gap: f64) -> ContactPair {
         let mut points: Vec<_> = points.filter(|(_, weight)| *weight != 0.0).collect();
         points.sort_by_key(|(node, _)| *node);
-        ContactPair {
-            points,
-            normal,
-            gap,
-        }
+        ContactPair { points, normal, gap }
     }
 
     fn key(&self) -> Vec<u32> {
@@ -150,9 +136,7 @@ pub fn contact_pairs(
             }
             let beside = |&node: &u32| {
                 let x = positions[node as usize];
-                other
-                    .is_near(&[x], reach)
-                    .then(|| other.beside(node, x, reach))?
+                other.is_near(&[x], reach).then(|| other.beside(node, x, reach))?
             };
             pairs.par_extend(skin.nodes.par_iter().filter_map(beside));
             if number < other_number {
@@ -176,25 +160,15 @@ pub fn contact_hits(
     depth: f64,
 ) -> Vec<ContactPair> {
     let ends: Vec<DVec3> = positions.iter().zip(ways).map(|(x, way)| x + way).collect();
-    let motion = Motion {
-        positions,
-        ways,
-        ends: &ends,
-        depth,
-    };
-    let swept: Vec<Swept> = (bodies.iter())
-        .map(|body| Swept::new(&motion, &triangles[body.clone()]))
-        .collect();
+    let motion = Motion { positions, ways, ends: &ends, depth };
+    let swept: Vec<Swept> = (bodies.iter()).map(|body| Swept::new(&motion, &triangles[body.clone()])).collect();
     let mut hits = Vec::new();
     for (number, body) in swept.iter().enumerate() {
         for (other_number, other) in swept.iter().enumerate() {
             if other_number == number || !meet(&body.bounds, &other.bounds) {
                 continue;
             }
-            let nodes = body
-                .nodes
-                .par_iter()
-                .map(|&node| (node, motion.bounds(&[node])));
+            let nodes = body.nodes.par_iter().map(|&node| (node, motion.bounds(&[node])));
             let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
             hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
                 let faces = other.faces.iter();
@@ -241,12 +215,8 @@ impl Swept {
         let edges = sharp_edges(motion.positions, triangles);
         Swept {
             bounds: motion.bounds(&nodes),
-            faces: (triangles.iter())
-                .map(|face| (*face, motion.bounds(face)))
-                .collect(),
-            edges: (edges.iter())
-                .map(|edge| (*edge, motion.bounds(&edge.nodes)))
-                .collect(),
+            faces: (triangles.iter()).map(|face| (*face, motion.bounds(face))).collect(),
+            edges: (edges.iter()).map(|edge| (*edge, motion.bounds(&edge.nodes))).collect(),
             nodes,
         }
     }
@@ -259,9 +229,7 @@ fn meet(a: &[DVec3; 2], b: &[DVec3; 2]) -> bool {
 
 impl Motion<'_> {
     fn bounds(&self, nodes: &[u32]) -> [DVec3; 2] {
-        let ends = nodes
-            .iter()
-            .flat_map(|&node| [self.positions, self.ends].map(|points| points[node as usize]));
+        let ends = nodes.iter().flat_map(|&node| [self.positions, self.ends].map(|points| points[node as usize]));
         super::bounds(ends)
     }
 
@@ -295,9 +263,7 @@ impl Motion<'_> {
             let weights = [weight(b, c), weight(c, a), weight(a, b)];
             let inside = weights.iter().all(|weight| *weight >= -ENDS);
             let points = face.into_iter().zip(weights.map(|weight| -weight));
-            (area > 0.0 && inside)
-                .then(|| self.pair(points.chain([(node, 1.0)]), n / area.sqrt()))
-                .flatten()
+            (area > 0.0 && inside).then(|| self.pair(points.chain([(node, 1.0)]), n / area.sqrt())).flatten()
         })
     }
 
@@ -318,24 +284,17 @@ impl Motion<'_> {
             if squared <= PARALLEL * u.length_squared() * v.length_squared() {
                 return None;
             }
-            let (s, t) = (
-                w.cross(v).dot(across) / squared,
-                w.cross(u).dot(across) / squared,
-            );
+            let (s, t) = (w.cross(v).dot(across) / squared, w.cross(u).dot(across) / squared);
             let inside = ENDS..1.0 - ENDS;
             if !inside.contains(&s) || !inside.contains(&t) {
                 return None;
             }
             let points = [(a[0], 1.0 - s), (a[1], s), (b[0], t - 1.0), (b[1], -t)];
             // The first edge leaves the side from which it came.
-            let before: DVec3 = (points.iter())
-                .map(|&(node, weight)| weight * self.positions[node as usize])
-                .sum();
+            let before: DVec3 = (points.iter()).map(|&(node, weight)| weight * self.positions[node as usize]).sum();
             let sign = if before.dot(across) >= 0.0 { 1.0 } else { -1.0 };
             let normal = sign / squared.sqrt() * across;
-            (normal.dot(outwards) >= 0.0)
-                .then(|| self.pair(points.into_iter(), normal))
-                .flatten()
+            (normal.dot(outwards) >= 0.0).then(|| self.pair(points.into_iter(), normal)).flatten()
         })
     }
 
@@ -344,9 +303,7 @@ impl Motion<'_> {
         let pair = ContactPair::new(points, normal, 0.0);
         let along = |of: &[DVec3]| -> f64 {
             let points = pair.points.iter();
-            points
-                .map(|&(node, weight)| weight * of[node as usize].dot(normal))
-                .sum()
+            points.map(|&(node, weight)| weight * of[node as usize].dot(normal)).sum()
         };
         let [gap, end] = [along(self.positions), along(self.ends)];
         (end < -self.depth).then_some(ContactPair { gap, ..pair })
@@ -409,24 +366,16 @@ fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let edges = sides.chunk_by(|a, b| a.0 == b.0);
     edges
         .filter_map(|faces| match faces {
-            [one, two] if one.1.dot(two.1) < FLAT => Some(Edge {
-                nodes: one.0,
-                normals: [one.1, two.1],
-                inwards: [one.2, two.2],
-            }),
+            [one, two] if one.1.dot(two.1) < FLAT => {
+                Some(Edge { nodes: one.0, normals: [one.1, two.1], inwards: [one.2, two.2] })
+            }
             _ => None,
         })
         .collect()
 }
 
 /// Adds the pairs of edges of two bodies.
-fn edge_pairs(
-    positions: &[DVec3],
-    skin: &Skin,
-    other: &Skin,
-    reach: f64,
-    pairs: &mut Vec<ContactPair>,
-) {
+fn edge_pairs(positions: &[DVec3], skin: &Skin, other: &Skin, reach: f64, pairs: &mut Vec<ContactPair>) {
     let ends = |edge: &Edge| edge.nodes.map(|node| positions[node as usize]);
     let near = |edges: &[Edge], body: &Skin| -> Vec<Edge> {
         let near = |edge: &&Edge| body.is_near(&ends(edge), reach);
@@ -447,16 +396,10 @@ fn edge_pairs(
 
 /// The pair of the nearest points of two edges and the middle between them, if they are inside the edges and the surfaces are not nearer
 /// beside them.
-fn edge_pair(
-    ends: impl Fn(&Edge) -> [DVec3; 2],
-    a: &Edge,
-    b: &Edge,
-    reach: f64,
-) -> Option<(ContactPair, DVec3)> {
+fn edge_pair(ends: impl Fn(&Edge) -> [DVec3; 2], a: &Edge, b: &Edge, reach: f64) -> Option<(ContactPair, DVec3)> {
     let ([a0, a1], [b0, b1]) = (ends(a), ends(b));
     let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
-    let apart = (a0.max(a1) + reach).cmplt(b0.min(b1)).any()
-        || (b0.max(b1) + reach).cmplt(a0.min(a1)).any();
+    let apart = (a0.max(a1) + reach).cmplt(b0.min(b1)).any() || (b0.max(b1) + reach).cmplt(a0.min(a1)).any();
     let (uu, uv, vv) = (u.length_squared(), u.dot(v), v.length_squared());
     let determinant = uu * vv - uv * uv;
     if apart || determinant <= PARALLEL * uu * vv {
@@ -482,26 +425,13 @@ fn edge_pair(
         }
     };
     // Of bodies apart the arm leaves b and ends at a, of overlapping ones it leads back into both.
-    let leaves = |edge: &Edge, way: DVec3| {
-        edge.inwards
-            .iter()
-            .all(|inwards| way.dot(*inwards) <= SLACK)
-    };
-    let sign = if direction.dot(outwards) >= 0.0 {
-        1.0
-    } else {
-        -1.0
-    };
+    let leaves = |edge: &Edge, way: DVec3| edge.inwards.iter().all(|inwards| way.dot(*inwards) <= SLACK);
+    let sign = if direction.dot(outwards) >= 0.0 { 1.0 } else { -1.0 };
     let normal = sign * direction;
     if !leaves(b, normal) || !leaves(a, -normal) {
         return None;
     }
-    let points = [
-        (a.nodes[0], 1.0 - s),
-        (a.nodes[1], s),
-        (b.nodes[0], t - 1.0),
-        (b.nodes[1], -t),
-    ];
+    let points = [(a.nodes[0], 1.0 - s), (a.nodes[1], s), (b.nodes[0], t - 1.0), (b.nodes[1], -t)];
     let pair = ContactPair::new(points.into_iter(), normal, sign * distance);
     Some((pair, b0 + t * v + 0.5 * arm))
 }

@@ -97,10 +97,8 @@ pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {
             clipper.clipping
         })
         .collect();
-    let mut all = Clipping {
-        patches: Vec::with_capacity(tasks.iter().map(|task| task.patches.len()).sum()),
-        ghosts: Vec::new(),
-    };
+    let mut all =
+        Clipping { patches: Vec::with_capacity(tasks.iter().map(|task| task.patches.len()).sum()), ghosts: Vec::new() };
     for task in tasks {
         all.patches.extend(task.patches);
         all.ghosts.extend(task.ghosts);
@@ -112,11 +110,7 @@ pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {
 fn snap(x: f64, n: usize) -> f64 {
     let plane = x.round();
     let wall = plane == 0.0 || plane == n as f64;
-    if (x - plane).abs() <= if wall { ON_WALL } else { ON_PLANE } {
-        plane
-    } else {
-        x
-    }
+    if (x - plane).abs() <= if wall { ON_WALL } else { ON_PLANE } { plane } else { x }
 }
 
 /// Clips triangles; lengths are in cells.
@@ -132,10 +126,7 @@ impl<'a> Clipper<'a> {
     fn new(grid: &'a Grid) -> Clipper<'a> {
         Clipper {
             grid,
-            clipping: Clipping {
-                patches: Vec::new(),
-                ghosts: Vec::new(),
-            },
+            clipping: Clipping { patches: Vec::new(), ghosts: Vec::new() },
             polygons: Default::default(),
             scratch: Vec::new(),
         }
@@ -167,18 +158,10 @@ impl<'a> Clipper<'a> {
     }
 
     /// Padded positions along an axis of the cells that a polygon meets.
-    fn span(
-        &self,
-        axis: Axis,
-        polygon: &[DVec3],
-        into_solid: DVec3,
-    ) -> std::ops::RangeInclusive<isize> {
+    fn span(&self, axis: Axis, polygon: &[DVec3], into_solid: DVec3) -> std::ops::RangeInclusive<isize> {
         let a = axis.index();
-        let (low, high) = polygon
-            .iter()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
-                (low.min(x[a]), high.max(x[a]))
-            });
+        let (low, high) =
+            polygon.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x[a]), high.max(x[a])));
         if polygon.is_empty() {
             #[expect(clippy::reversed_empty_ranges, reason = "nothing is met")]
             return 1..=0;
@@ -210,9 +193,7 @@ impl<'a> Clipper<'a> {
             std::mem::swap(part, &mut self.scratch);
         }
         let end = at + 1;
-        if end <= self.grid.cells[axis.index()] as isize
-            && polygon.iter().any(|x| x[axis.index()] > end as f64)
-        {
+        if end <= self.grid.cells[axis.index()] as isize && polygon.iter().any(|x| x[axis.index()] > end as f64) {
             clip_halfspace_polygon(normal * end as f64, normal, part, &mut self.scratch);
             std::mem::swap(part, &mut self.scratch);
         }
@@ -222,36 +203,24 @@ impl<'a> Clipper<'a> {
         let Some((&first, rest)) = polygon.split_first() else {
             return;
         };
-        let fan = || {
-            rest.windows(2)
-                .map(|pair| (pair, 0.5 * (pair[0] - first).cross(pair[1] - first)))
-        };
+        let fan = || rest.windows(2).map(|pair| (pair, 0.5 * (pair[0] - first).cross(pair[1] - first)));
         let outward: DVec3 = fan().map(|(_, part)| part).sum();
         let area = outward.length();
         if area <= NO_AREA {
             return;
         }
         let normal = -outward / area;
-        let ghost = Axis::ALL
-            .into_iter()
-            .find(|&axis| self.beyond(axis, at[axis.index()]));
+        let ghost = Axis::ALL.into_iter().find(|&axis| self.beyond(axis, at[axis.index()]));
         if let Some(axis) = ghost {
-            self.clipping.ghosts.push(Ghost {
-                axis,
-                cell: at,
-                flux: -outward[axis.index()],
-            });
+            self.clipping.ghosts.push(Ghost { axis, cell: at, flux: -outward[axis.index()] });
             return;
         }
         // All parts of the fan have the orientation of the polygon, to rounding.
-        let centroid: DVec3 = fan()
-            .map(|(pair, part)| (first + pair[0] + pair[1]) / 3.0 * (-part.dot(normal) / area))
-            .sum();
+        let centroid: DVec3 =
+            fan().map(|(pair, part)| (first + pair[0] + pair[1]) / 3.0 * (-part.dot(normal) / area)).sum();
         let [a, b, c] = corners;
         let whole = (b - a).cross(c - a);
-        let weight = |p: DVec3, q: DVec3| {
-            (p - centroid).cross(q - centroid).dot(whole) / whole.length_squared()
-        };
+        let weight = |p: DVec3, q: DVec3| (p - centroid).cross(q - centroid).dot(whole) / whole.length_squared();
         // Second moment of a triangle about a point, with corners y: area / 12 (sum y (sum y)^T + sum y y^T).
         let spread = fan().fold(DMat3::ZERO, |sum, (pair, part)| {
             let offsets = [first, pair[0], pair[1]].map(|x| x - centroid);
@@ -289,16 +258,10 @@ pub struct OpenFractions {
 pub fn open_fractions(grid: &Grid, start: f64, clippings: &[Clipping]) -> OpenFractions {
     let mut defects = [0.0; 3];
     let mut faces = Axis::ALL.map(|_| Vec::new());
-    Axis::ALL
-        .into_par_iter()
-        .zip(faces.par_iter_mut().zip(&mut defects))
-        .for_each(|(axis, (faces, defect))| {
-            (*faces, *defect) = line_sums(grid, axis, start, clippings);
-        });
-    OpenFractions {
-        faces,
-        closure_defect: defects.into_iter().fold(0.0, f64::max),
-    }
+    Axis::ALL.into_par_iter().zip(faces.par_iter_mut().zip(&mut defects)).for_each(|(axis, (faces, defect))| {
+        (*faces, *defect) = line_sums(grid, axis, start, clippings);
+    });
+    OpenFractions { faces, closure_defect: defects.into_iter().fold(0.0, f64::max) }
 }
 
 /// Sums along the lines of one axis and their largest closure defect.

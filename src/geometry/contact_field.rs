@@ -61,12 +61,7 @@ impl ContactField {
 
     /// These obstacles at rest, and moving ones, which must be moved to a time first.
     pub(super) fn with_moving(self, bodies: Vec<MovingBody>) -> ContactField {
-        ContactField {
-            nearest: vec![0; self.distance.len()],
-            at_rest: self.distance.clone(),
-            bodies,
-            ..self
-        }
+        ContactField { nearest: vec![0; self.distance.len()], at_rest: self.distance.clone(), bodies, ..self }
     }
 
     /// Copies the keyframes from a scene with the same obstacles.
@@ -85,8 +80,7 @@ impl ContactField {
     /// Upper bound of the speed of all obstacles between a time and `span` (both s) later, m/s.
     pub fn max_speed(&self, time: f64, span: f64) -> f64 {
         let bodies = self.bodies.iter();
-        let speeds =
-            bodies.map(|body| Keyframe::max_speed(&body.motion.keyframes, body.radius, time, span));
+        let speeds = bodies.map(|body| Keyframe::max_speed(&body.motion.keyframes, body.radius, time, span));
         speeds.fold(0.0, f64::max)
     }
 
@@ -110,10 +104,7 @@ impl ContactField {
         let (grid, bodies) = (self.grid, &self.bodies);
         let velocities = bodies.iter().map(|body| body.velocity(time, dt));
         self.motions = velocities.collect();
-        let now: Vec<Body> = bodies
-            .iter()
-            .map(|body| body.at(time).beyond_walls(&grid))
-            .collect();
+        let now: Vec<Body> = bodies.iter().map(|body| body.at(time).beyond_walls(&grid)).collect();
         for (number, body) in (1..).zip(&now) {
             for (cell, distance) in body.near(&grid) {
                 if distance < self.distance[cell] {

@@ -54,11 +54,7 @@ impl Coupling {
         let corners = |patch: &Patch| {
             let nodes = triangles[patch.triangle].into_iter().enumerate();
             let (cell, value) = (patch.cell, [0, 1, 2].map(|corner| value(patch, corner)));
-            nodes.map(move |(corner, node)| CellNode {
-                cell,
-                node: node as usize,
-                value: value[corner],
-            })
+            nodes.map(move |(corner, node)| CellNode { cell, node: node as usize, value: value[corner] })
         };
         let mut pairs: Vec<CellNode> = patches.iter().flat_map(corners).collect();
         // Stable, so that sums are in the order of the patches.
@@ -116,13 +112,7 @@ impl Coupling {
         for node in 0..n_nodes {
             node_start[node + 1] += node_start[node];
         }
-        Coupling {
-            cells,
-            cell_start,
-            by_cell,
-            node_start,
-            by_node,
-        }
+        Coupling { cells, cell_start, by_cell, node_start, by_node }
     }
 
     /// The pairs of the cells for which `keep` is true.
@@ -173,9 +163,7 @@ impl Coupling {
     /// out += J v, with three numbers per node in `v` and one per cell in `out`.
     pub fn add_product(&self, v: &[f64], out: &mut [f64]) {
         for (cell, pairs) in self.cells() {
-            let terms = pairs
-                .iter()
-                .map(|pair| pair.value.dot(DVec3::from_slice(&v[3 * pair.node..])));
+            let terms = pairs.iter().map(|pair| pair.value.dot(DVec3::from_slice(&v[3 * pair.node..])));
             out[cell] += terms.sum::<f64>();
         }
     }

@@ -62,11 +62,7 @@ pub(super) fn crossing(surface: &Surface) -> Option<Fault> {
     let mut samples = samples(surface).into_iter();
     let crossed = samples.find(|&(triangle, x)| {
         let hits = hits(&mesh, surface, triangle, x);
-        let around: i32 = hits
-            .iter()
-            .filter(|(t, _)| *t > 0.0)
-            .map(|(_, sign)| sign)
-            .sum();
+        let around: i32 = hits.iter().filter(|(t, _)| *t > 0.0).map(|(_, sign)| sign).sum();
         around != 0 && hits.iter().all(|(t, _)| t.abs() > least_depth)
     });
     crossed.map(|(triangle, x)| Fault {
@@ -94,13 +90,8 @@ fn samples(surface: &Surface) -> Vec<(usize, DVec3)> {
             area -= step;
             // Low-discrepancy sequence in the square, folded into the triangle (Roberts 2018).
             let k = samples.len() as f64;
-            let [u, v] =
-                [0.754_877_666_246_692_8, 0.569_840_290_998_053_2].map(|ratio| (k * ratio).fract());
-            let [u, v] = if u + v > 1.0 {
-                [1.0 - u, 1.0 - v]
-            } else {
-                [u, v]
-            };
+            let [u, v] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_2].map(|ratio| (k * ratio).fract());
+            let [u, v] = if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] };
             samples.push((triangle, a + u * (b - a) + v * (c - a)));
         }
     }
@@ -112,17 +103,10 @@ fn samples(surface: &Surface) -> Vec<(usize, DVec3)> {
 fn hits(mesh: &TriMesh, surface: &Surface, triangle: usize, x: DVec3) -> Vec<(f64, i32)> {
     let normal = surface.area_vector(triangle).normalize();
     // Oblique, so that lines miss the edges of regular meshes; the next tilt if one hits an edge.
-    let tilts = [
-        [0.131, 0.223],
-        [-0.197, 0.103],
-        [0.071, -0.241],
-        [-0.113, -0.167],
-    ];
+    let tilts = [[0.131, 0.223], [-0.197, 0.103], [0.071, -0.241], [-0.113, -0.167]];
     let (u, v) = normal.any_orthonormal_pair();
     let lines = tilts.map(|[along_u, along_v]| (normal + along_u * u + along_v * v).normalize());
-    let hits = lines
-        .iter()
-        .find_map(|&direction| line_hits(mesh, surface, triangle, x, direction));
+    let hits = lines.iter().find_map(|&direction| line_hits(mesh, surface, triangle, x, direction));
     hits.unwrap_or_default()
 }
 
@@ -148,9 +132,7 @@ fn line_hits(
         let cross = |p: [f64; 2], q: [f64; 2]| p[0] * q[1] - p[1] * q[0];
         // Twice the areas opposite to each corner, seen along the line.
         let areas = [cross(b, c), cross(c, a), cross(a, b)];
-        if areas.contains(&0.0)
-            && (areas.iter().all(|&area| area >= 0.0) || areas.iter().all(|&area| area <= 0.0))
-        {
+        if areas.contains(&0.0) && (areas.iter().all(|&area| area >= 0.0) || areas.iter().all(|&area| area <= 0.0)) {
             return None;
         }
         let sign = if areas.iter().all(|&area| area > 0.0) {
@@ -160,9 +142,7 @@ fn line_hits(
         } else {
             continue;
         };
-        let weighted: f64 = (areas.iter().zip(corners))
-            .map(|(area, corner)| area * corner.dot(direction))
-            .sum();
+        let weighted: f64 = (areas.iter().zip(corners)).map(|(area, corner)| area * corner.dot(direction)).sum();
         hits.push((weighted / areas.iter().sum::<f64>(), sign));
     }
     Some(hits)
@@ -175,7 +155,5 @@ fn meets(low: DVec3, high: DVec3, direction: DVec3) -> bool {
     // The separating axes of a line and a box.
     let [m, h, d] = [middle, half, direction.abs()];
     let distance = m.cross(direction).abs();
-    distance.x <= h.y * d.z + h.z * d.y
-        && distance.y <= h.z * d.x + h.x * d.z
-        && distance.z <= h.x * d.y + h.y * d.x
+    distance.x <= h.y * d.z + h.z * d.y && distance.y <= h.z * d.x + h.x * d.z && distance.z <= h.x * d.y + h.y * d.x
 }

@@ -8,9 +8,7 @@ pub(crate) struct DisjointSets {
 impl DisjointSets {
     /// `n` sets of one number each.
     pub(crate) fn new(n: usize) -> DisjointSets {
-        DisjointSets {
-            parents: (0..n as u32).collect(),
-        }
+        DisjointSets { parents: (0..n as u32).collect() }
     }
 
     /// The least number of a set.

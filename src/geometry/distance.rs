@@ -83,29 +83,13 @@ impl Solid {
         Ok(match *shape {
             Shape::Box { min, max } => Solid::Box { min, max },
             Shape::Sphere { centre, radius } => Solid::Sphere { centre, radius },
-            Shape::Cylinder {
-                base,
-                axis,
-                radius,
-                height,
-            } => Solid::Cylinder {
-                point: base,
-                axis,
-                radius,
-                heights: [0.0, height],
-            },
+            Shape::Cylinder { base, axis, radius, height } => {
+                Solid::Cylinder { point: base, axis, radius, heights: [0.0, height] }
+            }
             Shape::HalfSpace { point, normal } => Solid::HalfSpace { point, normal },
-            Shape::Wave {
-                level,
-                amplitude,
-                wave_number,
-                phase,
-            } => Solid::Wave {
-                level,
-                amplitude,
-                wave_number,
-                phase,
-            },
+            Shape::Wave { level, amplitude, wave_number, phase } => {
+                Solid::Wave { level, amplitude, wave_number, phase }
+            }
             Shape::Solitary(wave) => Solid::Solitary(wave),
             Shape::Mesh { ref file, unit } => Solid::mesh(&read_surface(file, unit)?),
         })
@@ -118,16 +102,10 @@ impl Solid {
         }
         let Placement { rotate, scale, .. } = *placement;
         Ok(match *shape {
-            Shape::Sphere { centre, radius } => Solid::Sphere {
-                centre: placement.put(centre, centre),
-                radius: scale * radius,
-            },
-            Shape::Cylinder {
-                base,
-                axis,
-                radius,
-                height,
-            } => Solid::Cylinder {
+            Shape::Sphere { centre, radius } => {
+                Solid::Sphere { centre: placement.put(centre, centre), radius: scale * radius }
+            }
+            Shape::Cylinder { base, axis, radius, height } => Solid::Cylinder {
                 point: placement.put(base, base + 0.5 * height * axis),
                 axis: rotate * axis,
                 radius: scale * radius,
@@ -148,10 +126,7 @@ impl Solid {
 
     /// The inside of a closed surface.
     fn mesh(surface: &Surface) -> Solid {
-        let Surface {
-            vertices,
-            triangles,
-        } = surface.clone();
+        let Surface { vertices, triangles } = surface.clone();
         Solid::Mesh(Box::new(ClosedMesh::new(vertices, triangles)))
     }
 
@@ -164,32 +139,20 @@ impl Solid {
                 from_sides(sides.max_element(), sides.max(DVec3::ZERO).length())
             }
             Solid::Sphere { centre, radius } => (x - centre).length() - radius,
-            Solid::Cylinder {
-                point,
-                axis,
-                radius,
-                heights: [low, high],
-            } => {
+            Solid::Cylinder { point, axis, radius, heights: [low, high] } => {
                 let height = (x - point).dot(axis);
                 let round = (x - point - height * axis).length() - radius;
                 let flat = (low - height).max(height - high);
                 from_sides(round.max(flat), round.max(0.0).hypot(flat.max(0.0)))
             }
             Solid::HalfSpace { point, normal } => (x - point).dot(normal),
-            Solid::Wave {
-                level,
-                amplitude,
-                wave_number: [kx, kz],
-                phase,
-            } => {
+            Solid::Wave { level, amplitude, wave_number: [kx, kz], phase } => {
                 let (sin, cos) = (kx * x.x + kz * x.z + phase).sin_cos();
                 let slope = amplitude * sin * kx.hypot(kz);
                 (x.y - level - amplitude * cos) / 1.0_f64.hypot(slope)
             }
             Solid::Solitary(ref wave) => solitary::distance(wave, x),
-            Solid::Mesh(ref mesh) => mesh
-                .distance(x, f64::MAX)
-                .expect("every point has a nearest triangle"),
+            Solid::Mesh(ref mesh) => mesh.distance(x, f64::MAX).expect("every point has a nearest triangle"),
         }
     }
 
@@ -207,33 +170,19 @@ impl Solid {
         let on_wall = |x, out| on_wall(grid, placement.put(x, centre), placement.rotate * out);
         match self {
             Solid::Box { min, max } => {
-                let walls =
-                    |corner, sign: f64| DVec3::AXES.map(|axis| on_wall(corner, sign * axis)).into();
+                let walls = |corner, sign: f64| DVec3::AXES.map(|axis| on_wall(corner, sign * axis)).into();
                 Solid::Box {
                     min: DVec3::select(walls(min, -1.0), DVec3::NEG_INFINITY, min),
                     max: DVec3::select(walls(max, 1.0), DVec3::INFINITY, max),
                 }
             }
-            Solid::Cylinder {
-                point,
-                axis,
-                radius,
-                heights: [low, high],
-            } => Solid::Cylinder {
+            Solid::Cylinder { point, axis, radius, heights: [low, high] } => Solid::Cylinder {
                 point,
                 axis,
                 radius,
                 heights: [
-                    if on_wall(point + low * axis, -axis) {
-                        f64::NEG_INFINITY
-                    } else {
-                        low
-                    },
-                    if on_wall(point + high * axis, axis) {
-                        f64::INFINITY
-                    } else {
-                        high
-                    },
+                    if on_wall(point + low * axis, -axis) { f64::NEG_INFINITY } else { low },
+                    if on_wall(point + high * axis, axis) { f64::INFINITY } else { high },
                 ],
             },
             Solid::Mesh(mesh) => Solid::Mesh(Box::new(mesh.beyond_walls(on_wall))),
@@ -247,9 +196,7 @@ fn on_wall(grid: &Grid, x: DVec3, out: DVec3) -> bool {
     // Far above the rounding of scene values, far below the resolution of a cell.
     let near = 1e-6 * grid.dx;
     let size = grid.size();
-    (0..3).any(|a| {
-        (out[a] > 1.0 - 1e-12 && x[a] >= size[a] - near) || (out[a] < -1.0 + 1e-12 && x[a] <= near)
-    })
+    (0..3).any(|a| (out[a] > 1.0 - 1e-12 && x[a] >= size[a] - near) || (out[a] < -1.0 + 1e-12 && x[a] <= near))
 }
 
 /// Distance of a convex solid: the largest distance to its sides, or outside the length of the positive ones.
@@ -261,10 +208,7 @@ impl ClosedMesh {
     /// At least one triangle, counter-clockwise seen from outside.
     pub(super) fn new(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> ClosedMesh {
         let all = TriMesh::with_flags(vertices, triangles, TriMeshFlags::ORIENTED);
-        ClosedMesh {
-            all: Arc::new(all.expect("a closed surface has triangles")),
-            free: Free::All,
-        }
+        ClosedMesh { all: Arc::new(all.expect("a closed surface has triangles")), free: Free::All }
     }
 
     pub(super) fn contains(&self, x: DVec3) -> bool {
@@ -332,9 +276,7 @@ impl ClosedMesh {
 
     /// Depth of a point, m; negative outside.
     pub(super) fn depth(&self, x: DVec3) -> f64 {
-        -self
-            .distance(x, f64::MAX)
-            .expect("every point has a nearest triangle")
+        -self.distance(x, f64::MAX).expect("every point has a nearest triangle")
     }
 
     /// Low and high corner of the bounding box, m.
@@ -378,31 +320,15 @@ impl Body {
     }
 
     /// The body including its sides on walls.
-    pub(super) fn before_walls(
-        obstacle: &Obstacle,
-        name: &str,
-        grid: &Grid,
-    ) -> Result<Body, Error> {
-        let Obstacle {
-            ref shape,
-            placement,
-            inside_out,
-            ..
-        } = *obstacle;
+    pub(super) fn before_walls(obstacle: &Obstacle, name: &str, grid: &Grid) -> Result<Body, Error> {
+        let Obstacle { ref shape, placement, inside_out, .. } = *obstacle;
         // The placement scales the tessellation.
         let dx = grid.dx / placement.scale;
         let surface = match *shape {
             Shape::Box { min, max } => Surface::cuboid(min, max),
             Shape::Sphere { centre, radius } => Surface::sphere(centre, radius, dx),
-            Shape::Cylinder {
-                base,
-                axis,
-                radius,
-                height,
-            } => Surface::cylinder(base, axis, radius, height, dx),
-            Shape::Mesh { ref file, unit } => {
-                read_surface(file, unit).map_err(|error| error.within(name))?
-            }
+            Shape::Cylinder { base, axis, radius, height } => Surface::cylinder(base, axis, radius, height, dx),
+            Shape::Mesh { ref file, unit } => read_surface(file, unit).map_err(|error| error.within(name))?,
             Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) => {
                 return Err(Error::input(
                     name,
@@ -423,11 +349,7 @@ impl Body {
             _ => (Solid::new(shape)?, centre, placement),
         };
         Ok(Body {
-            surface: if inside_out {
-                surface.inside_out()
-            } else {
-                surface
-            },
+            surface: if inside_out { surface.inside_out() } else { surface },
             solid,
             centre,
             placement,
@@ -442,9 +364,7 @@ impl Body {
     }
 
     pub(super) fn moved(&self, rigid: &RigidDisplacement) -> Body {
-        let Placement {
-            translate, rotate, ..
-        } = self.placement;
+        let Placement { translate, rotate, .. } = self.placement;
         Body {
             surface: self.surface.clone().map(|x| rigid.put(x)),
             solid: self.solid.clone(),
@@ -492,12 +412,7 @@ impl Body {
 
     /// The point x (m) in the coordinates of the shape.
     fn back(&self, x: DVec3) -> DVec3 {
-        let Placement {
-            translate,
-            rotate,
-            scale,
-            ..
-        } = self.placement;
+        let Placement { translate, rotate, scale, .. } = self.placement;
         let back: DMat3 = rotate.transpose();
         self.centre + back * (x - self.centre - translate) / scale
     }
@@ -566,12 +481,7 @@ impl Body {
 
 /// Signed distances to a mesh along a row of cell centres, exact within the band and +-band beyond. The band is wider than a
 /// cell, so no surface lies between two centres of which one is outside the band: the sign persists.
-fn mesh_row(
-    mesh: &ClosedMesh,
-    band: f64,
-    centres: impl Iterator<Item = DVec3>,
-    values: &mut [f64],
-) {
+fn mesh_row(mesh: &ClosedMesh, band: f64, centres: impl Iterator<Item = DVec3>, values: &mut [f64]) {
     let mut last: Option<f64> = None;
     for (x, value) in centres.zip(values) {
         *value = mesh.distance(x, band).unwrap_or_else(|| {

@@ -37,11 +37,7 @@ impl Embedding {
                 Some((element, weights)) => (element, weights, 0.0),
                 None => {
                     let (element, distance) = boundary.nearest(x);
-                    (
-                        element,
-                        inverse(mesh, element) * (x - corner(mesh, element)),
-                        distance,
-                    )
+                    (element, inverse(mesh, element) * (x - corner(mesh, element)), distance)
                 }
             })
             .collect();
@@ -64,9 +60,7 @@ impl Embedding {
         points
             .map(|(corners, weights)| {
                 let parts = corners.iter().zip(weights);
-                parts
-                    .map(|(&node, &weight)| weight * nodes[node as usize])
-                    .sum()
+                parts.map(|(&node, &weight)| weight * nodes[node as usize]).sum()
             })
             .collect()
     }
@@ -99,9 +93,7 @@ impl Bins {
         let extent = (high - low).max(DVec3::splat(1e-9 * (high - low).max_element()));
         let size = (extent.element_product() / mesh.elements.len() as f64).cbrt();
         // Thin meshes have few cubes across, so that there are not many more cubes than elements.
-        let n = extent
-            .to_array()
-            .map(|side| (side / size).ceil().clamp(1.0, 1024.0) as usize);
+        let n = extent.to_array().map(|side| (side / size).ceil().clamp(1.0, 1024.0) as usize);
         let mut bins = Bins {
             low,
             size: size.max(extent.max_element() / 1024.0),
@@ -135,13 +127,11 @@ impl Bins {
     /// The first element that contains a point, and the coordinates of its last three corners.
     fn containing(&self, mesh: &TetMesh, x: DVec3) -> Option<(usize, DVec3)> {
         let elements = self.elements[self.index(self.cube(x))].iter();
-        elements
-            .map(|&element| element as usize)
-            .find_map(|element| {
-                let weights = inverse(mesh, element) * (x - corner(mesh, element));
-                let least = weights.min_element().min(1.0 - weights.element_sum());
-                (least >= -ROUNDING).then_some((element, weights))
-            })
+        elements.map(|&element| element as usize).find_map(|element| {
+            let weights = inverse(mesh, element) * (x - corner(mesh, element));
+            let least = weights.min_element().min(1.0 - weights.element_sum());
+            (least >= -ROUNDING).then_some((element, weights))
+        })
     }
 }
 
@@ -163,20 +153,14 @@ impl Boundary {
         let behind = surface.iter().map(|&side| owners[&sorted(side)]);
         Boundary {
             behind: behind.collect(),
-            triangles: TriMesh::new(mesh.nodes.clone(), surface)
-                .expect("a mesh with elements has a boundary"),
+            triangles: TriMesh::new(mesh.nodes.clone(), surface).expect("a mesh with elements has a boundary"),
         }
     }
 
     /// The element behind the nearest point of the boundary, and its distance.
     fn nearest(&self, x: DVec3) -> (usize, f64) {
-        let (nearest, (triangle, _)) = self
-            .triangles
-            .project_local_point_and_get_location(x, false);
-        (
-            self.behind[triangle as usize] as usize,
-            nearest.point.distance(x),
-        )
+        let (nearest, (triangle, _)) = self.triangles.project_local_point_and_get_location(x, false);
+        (self.behind[triangle as usize] as usize, nearest.point.distance(x))
     }
 }
 

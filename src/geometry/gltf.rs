@@ -46,9 +46,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
         };
         let data = data.filter(|data| data.len() >= buffer.length());
         let number = buffer.index();
-        buffers.push(
-            data.ok_or_else(|| Problem::new(format!("buffer {number} is incomplete"), DAMAGED))?,
-        );
+        buffers.push(data.ok_or_else(|| Problem::new(format!("buffer {number} is incomplete"), DAMAGED))?);
     }
     let scene = file.default_scene().or_else(|| file.scenes().next());
     let scene = scene.ok_or_else(|| Problem::new("no scene", DAMAGED))?;
@@ -65,8 +63,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
             return Err(Problem::new(problem, DAMAGED));
         }
         let columns = node.transform().matrix();
-        let placed =
-            parent * DMat4::from_cols_array_2d(&columns.map(|column| column.map(f64::from)));
+        let placed = parent * DMat4::from_cols_array_2d(&columns.map(|column| column.map(f64::from)));
         for primitive in node.mesh().iter().flat_map(|mesh| mesh.primitives()) {
             push(&mut mesh, &mut complete, &primitive, placed, &buffers)?;
         }
@@ -102,18 +99,14 @@ fn push(
     for accessor in accessors.chain(primitive.indices()) {
         ensure_readable(&accessor)?;
     }
-    let positions = primitive
-        .get(&gltf::Semantic::Positions)
-        .ok_or_else(missing)?;
+    let positions = primitive.get(&gltf::Semantic::Positions).ok_or_else(missing)?;
     ensure_kind(&positions, Dimensions::Vec3)?;
     let reader = primitive.reader(|buffer| buffers.get(buffer.index()).map(Vec::as_slice));
     let first = mesh.vertices.len();
     let put = |x: [f32; 3]| placed.transform_point3(DVec3::from(x.map(f64::from)));
-    mesh.vertices
-        .extend(reader.read_positions().ok_or_else(missing)?.map(put));
+    mesh.vertices.extend(reader.read_positions().ok_or_else(missing)?.map(put));
     let n = mesh.vertices.len() - first;
-    let incomplete =
-        |what: &str| Problem::new(format!("{what} of {n} vertices are incomplete"), DAMAGED);
+    let incomplete = |what: &str| Problem::new(format!("{what} of {n} vertices are incomplete"), DAMAGED);
     if let Some(accessor) = primitive.get(&gltf::Semantic::TexCoords(0)) {
         if accessor.dimensions() != Dimensions::Vec2 {
             return Err(incomplete("texture coordinates"));
@@ -121,8 +114,7 @@ fn push(
         let texture = reader.read_tex_coords(0);
         let texture = texture.ok_or_else(|| incomplete("texture coordinates"))?;
         // From the upper left corner in glTF.
-        mesh.texture
-            .extend(texture.into_f32().map(|[u, v]| [u, 1.0 - v]));
+        mesh.texture.extend(texture.into_f32().map(|[u, v]| [u, 1.0 - v]));
     } else {
         complete[0] = false;
     }
@@ -131,39 +123,28 @@ fn push(
         ensure_kind(&accessor, Dimensions::Vec3)?;
         let cofactor = linear.inverse().transpose();
         let normals = reader.read_normals().ok_or_else(|| incomplete("normals"))?;
-        mesh.normals
-            .extend(normals.map(|normal| cofactor * DVec3::from(normal.map(f64::from))));
+        mesh.normals.extend(normals.map(|normal| cofactor * DVec3::from(normal.map(f64::from))));
     } else {
         complete[1] = false;
     }
-    for (len, complete, what) in [
-        (mesh.texture.len(), complete[0], "texture coordinates"),
-        (mesh.normals.len(), complete[1], "normals"),
-    ] {
+    for (len, complete, what) in
+        [(mesh.texture.len(), complete[0], "texture coordinates"), (mesh.normals.len(), complete[1], "normals")]
+    {
         if complete && len != mesh.vertices.len() {
             return Err(incomplete(what));
         }
     }
     let corners: Vec<u32> = match primitive.indices() {
-        Some(_) => reader
-            .read_indices()
-            .ok_or_else(|| incomplete("triangles"))?
-            .into_u32()
-            .collect(),
+        Some(_) => reader.read_indices().ok_or_else(|| incomplete("triangles"))?.into_u32().collect(),
         None => (0..n as u32).collect(),
     };
     if !corners.len().is_multiple_of(3) || corners.iter().any(|&corner| corner as usize >= n) {
         return Err(incomplete("triangles"));
     }
     // A mirrored node turns the triangles round.
-    let [b, c] = if linear.determinant() < 0.0 {
-        [2, 1]
-    } else {
-        [1, 2]
-    };
+    let [b, c] = if linear.determinant() < 0.0 { [2, 1] } else { [1, 2] };
     let triangles = corners.chunks_exact(3);
-    mesh.triangles
-        .extend(triangles.map(|of| [of[0], of[b], of[c]].map(|corner| corner + first as u32)));
+    mesh.triangles.extend(triangles.map(|of| [of[0], of[b], of[c]].map(|corner| corner + first as u32)));
     Ok(())
 }
 
@@ -171,39 +152,23 @@ fn push(
 fn ensure_readable(accessor: &Accessor) -> Result<(), Problem> {
     let number = accessor.index();
     let Some(view) = accessor.view().filter(|_| accessor.sparse().is_none()) else {
-        return Err(Problem::new(
-            format!("accessor {number} is sparse or empty"),
-            PLAIN,
-        ));
+        return Err(Problem::new(format!("accessor {number} is sparse or empty"), PLAIN));
     };
     let stride = view.stride().unwrap_or(accessor.size());
     let steps = accessor.count().checked_sub(1);
-    let end = steps.and_then(|steps| {
-        steps
-            .checked_mul(stride)?
-            .checked_add(accessor.offset())?
-            .checked_add(accessor.size())
-    });
+    let end =
+        steps.and_then(|steps| steps.checked_mul(stride)?.checked_add(accessor.offset())?.checked_add(accessor.size()));
     let whole = end.is_some_and(|end| end <= view.length())
-        && view
-            .offset()
-            .checked_add(view.length())
-            .is_some_and(|end| end <= view.buffer().length());
+        && view.offset().checked_add(view.length()).is_some_and(|end| end <= view.buffer().length());
     match whole {
         true => Ok(()),
-        false => Err(Problem::new(
-            format!("accessor {number} lies outside its buffer"),
-            DAMAGED,
-        )),
+        false => Err(Problem::new(format!("accessor {number} lies outside its buffer"), DAMAGED)),
     }
 }
 
 fn ensure_kind(accessor: &Accessor, dimensions: Dimensions) -> Result<(), Problem> {
     match accessor.data_type() == DataType::F32 && accessor.dimensions() == dimensions {
         true => Ok(()),
-        false => Err(Problem::new(
-            format!("accessor {} is quantized", accessor.index()),
-            PLAIN,
-        )),
+        false => Err(Problem::new(format!("accessor {} is quantized", accessor.index()), PLAIN)),
     }
 }

@@ -25,28 +25,14 @@ pub(super) struct Lattice {
 
 impl Lattice {
     pub(super) fn new() -> Lattice {
-        Lattice {
-            corners: corners(),
-            numbers: HashMap::new(),
-            points: Vec::new(),
-            planes: Vec::new(),
-        }
+        Lattice { corners: corners(), numbers: HashMap::new(), points: Vec::new(), planes: Vec::new() }
     }
 
     /// Number of the point with these integer weights of the corners of a face; their sum is its plane.
     pub(super) fn number(&mut self, face: [usize; 3], weights: [usize; 3]) -> u32 {
-        let mut key: Vec<_> = face
-            .into_iter()
-            .zip(weights)
-            .filter(|&(_, weight)| weight > 0)
-            .collect();
+        let mut key: Vec<_> = face.into_iter().zip(weights).filter(|&(_, weight)| weight > 0).collect();
         key.sort_unstable();
-        let Lattice {
-            corners,
-            numbers,
-            points,
-            planes,
-        } = self;
+        let Lattice { corners, numbers, points, planes } = self;
         *numbers.entry(key).or_insert_with_key(|key| {
             points.push(key.iter().map(|&(v, w)| corners[v] * w as f64).sum());
             planes.push(weights.iter().sum());
@@ -70,10 +56,7 @@ pub(super) fn unit_sphere(n: usize) -> Surface {
             }
         }
     }
-    Surface {
-        vertices: lattice.points.into_iter().map(DVec3::normalize).collect(),
-        triangles,
-    }
+    Surface { vertices: lattice.points.into_iter().map(DVec3::normalize).collect(), triangles }
 }
 
 /// Vertex radius of a [`unit_sphere`] with the volume of the unit ball.

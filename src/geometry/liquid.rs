@@ -33,11 +33,7 @@ impl Part {
 
 impl Regions {
     /// The regions of a liquid in a domain of this size (m). `at` returns the origin of a key for errors.
-    pub fn new(
-        liquid: &Liquid,
-        size: DVec3,
-        at: impl Fn(&str) -> String,
-    ) -> Result<Regions, Error> {
+    pub fn new(liquid: &Liquid, size: DVec3, at: impl Fn(&str) -> String) -> Result<Regions, Error> {
         let parts = liquid.regions.iter().enumerate().map(|(number, region)| {
             let place = || at(&format!("liquid.region[{number}]"));
             let solid = Solid::placed(&region.shape, &region.placement);
@@ -47,28 +43,18 @@ impl Regions {
             {
                 return Err(outside(mesh.bounds(), size, &place()));
             }
-            Ok(Part {
-                solid,
-                subtract: region.subtract,
-                velocity: region.velocity,
-            })
+            Ok(Part { solid, subtract: region.subtract, velocity: region.velocity })
         });
-        Ok(Regions {
-            parts: parts.collect::<Result<_, Error>>()?,
-        })
+        Ok(Regions { parts: parts.collect::<Result<_, Error>>()? })
     }
 
     /// The regions without flat sides on or beyond walls of the domain, which are no free surface.
     pub fn beyond_walls(self, grid: &Grid) -> Regions {
-        let parts = self.parts.into_iter().map(|part| Part {
-            solid: part
-                .solid
-                .beyond_walls(grid, &Placement::default(), DVec3::ZERO),
-            ..part
-        });
-        Regions {
-            parts: parts.collect(),
-        }
+        let parts = self
+            .parts
+            .into_iter()
+            .map(|part| Part { solid: part.solid.beyond_walls(grid, &Placement::default(), DVec3::ZERO), ..part });
+        Regions { parts: parts.collect() }
     }
 
     /// Signed distance at a point, m, negative in the liquid: the union, in order, less the regions that subtract.
@@ -78,22 +64,14 @@ impl Regions {
     pub fn distance(&self, x: DVec3) -> f64 {
         self.parts.iter().fold(f64::INFINITY, |distance, part| {
             let own = part.solid.distance(x);
-            if part.subtract {
-                distance.max(-own)
-            } else {
-                distance.min(own)
-            }
+            if part.subtract { distance.max(-own) } else { distance.min(own) }
         })
     }
 
     /// Initial velocity at a point, m/s: that of the last region that contains it. `None` outside.
     pub fn velocity(&self, x: DVec3) -> Option<DVec3> {
         self.parts.iter().fold(None, |velocity, part| {
-            if part.solid.distance(x) >= 0.0 {
-                velocity
-            } else {
-                (!part.subtract).then(|| part.velocity_at(x))
-            }
+            if part.solid.distance(x) >= 0.0 { velocity } else { (!part.subtract).then(|| part.velocity_at(x)) }
         })
     }
 
@@ -163,11 +141,7 @@ impl LiquidSurface {
             return Ok(None);
         };
         let regions = Regions::new(liquid, grid.size(), |key| scene.at(key))?;
-        Ok(Some(LiquidSurface {
-            regions: regions.beyond_walls(grid),
-            size: grid.size(),
-            dx: grid.dx,
-        }))
+        Ok(Some(LiquidSurface { regions: regions.beyond_walls(grid), size: grid.size(), dx: grid.dx }))
     }
 
     /// Signed distance at a point, m, negative in the liquid.
@@ -183,11 +157,7 @@ impl LiquidSurface {
         }
         let depth = self.depth(x);
         // A point on the free surface itself is air.
-        if depth > 2.0 * Self::NEAR * self.dx {
-            -depth
-        } else {
-            own.max(0.0)
-        }
+        if depth > 2.0 * Self::NEAR * self.dx { -depth } else { own.max(0.0) }
     }
 
     /// Whether a point is beyond the walls, in the liquid, or on a side between two regions.
@@ -197,9 +167,7 @@ impl LiquidSurface {
             return true;
         }
         let wet = |x: DVec3| self.regions.distance(x) < 0.0;
-        let between = |&direction: &DVec3| {
-            wet(x + 10.0 * near * direction) && wet(x - 10.0 * near * direction)
-        };
+        let between = |&direction: &DVec3| wet(x + 10.0 * near * direction) && wet(x - 10.0 * near * direction);
         let distance = self.regions.distance(x);
         distance < 0.0 || (distance <= near && DIRECTIONS.iter().any(between))
     }
@@ -207,11 +175,10 @@ impl LiquidSurface {
     /// Whether the nearest point of the surface, at the distance `own` (m), has air behind it.
     fn air_behind(&self, x: DVec3, own: f64) -> bool {
         let step = 1e-4 * self.dx;
-        let gradient = DVec3::from_array(DVec3::AXES.map(|axis| {
-            self.regions.distance(x + step * axis) - self.regions.distance(x - step * axis)
-        }));
-        own < 0.0
-            && !self.no_air(x + (10.0 * Self::NEAR * self.dx - own) * gradient.normalize_or_zero())
+        let gradient = DVec3::from_array(
+            DVec3::AXES.map(|axis| self.regions.distance(x + step * axis) - self.regions.distance(x - step * axis)),
+        );
+        own < 0.0 && !self.no_air(x + (10.0 * Self::NEAR * self.dx - own) * gradient.normalize_or_zero())
     }
 
     /// Depth below the free part of the surface, m, up to two cells.
@@ -258,8 +225,7 @@ const MARGIN: f64 = 0.02;
 /// Search directions for the free surface, besides the gradient: those between points of a 5^3 lattice, including all axes.
 static DIRECTIONS: LazyLock<Vec<DVec3>> = LazyLock::new(|| {
     let steps = || -2..=2_i64;
-    let lattice = steps()
-        .flat_map(|z| steps().flat_map(move |y| steps().map(move |x| I64Vec3::new(x, y, z))));
+    let lattice = steps().flat_map(|z| steps().flat_map(move |y| steps().map(move |x| I64Vec3::new(x, y, z))));
     lattice
         .filter(|step| *step != I64Vec3::ZERO && step.to_array().iter().any(|c| c % 2 != 0))
         .map(|step| step.as_dvec3().normalize())
@@ -270,11 +236,7 @@ static DIRECTIONS: LazyLock<Vec<DVec3>> = LazyLock::new(|| {
 ///
 /// Markers lie in the liquid, outside solids, and at least 0.67 dx below the free surface. The free surface has air behind it,
 /// not a wall, an obstacle or another region.
-pub fn seed_markers(
-    scene: &Scene,
-    grid: &Grid,
-    cut_cells: &CutCells,
-) -> Result<Vec<[f64; 3]>, Error> {
+pub fn seed_markers(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result<Vec<[f64; 3]>, Error> {
     let Some(liquid) = &scene.liquid else {
         return Ok(Vec::new());
     };
@@ -312,9 +274,9 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
         let holds = |x: DVec3| part.solid.distance(x) < 0.0;
         !match liquid.surface {
             Surface::Markers => markers.par_iter().any(|&x| holds(x.into())),
-            Surface::Level | Surface::Fixed => (0..grid.n_cells())
-                .into_par_iter()
-                .any(|cell| holds(grid.cell_centre(grid.cell_at(cell)))),
+            Surface::Level | Surface::Fixed => {
+                (0..grid.n_cells()).into_par_iter().any(|cell| holds(grid.cell_centre(grid.cell_at(cell))))
+            }
         }
     });
     Ok(empty.map(|(number, _)| number).collect())
@@ -328,11 +290,7 @@ const SAMPLED_CELLS: usize = 1 << 15;
 /// Samples one random cell in each run of cells. On small grids it is exact, except for markers within rounding of an obstacle
 /// or near a solid's surface.
 pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Result<usize, Error> {
-    let Some(liquid) = scene
-        .liquid
-        .as_ref()
-        .filter(|liquid| liquid.surface != Surface::Fixed)
-    else {
+    let Some(liquid) = scene.liquid.as_ref().filter(|liquid| liquid.surface != Surface::Fixed) else {
         return Ok(0);
     };
     let bodies = super::bodies(scene, grid).collect::<Result<Vec<_>, _>>()?;
@@ -342,8 +300,7 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
         size: grid.size(),
         dx: grid.dx,
         in_solid: |x| {
-            bodies.iter().any(|body| body.contains(x))
-                || solids.as_ref().is_some_and(|solids| solids.contains(x))
+            bodies.iter().any(|body| body.contains(x)) || solids.as_ref().is_some_and(|solids| solids.contains(x))
         },
     };
     let run = grid.n_cells().div_ceil(SAMPLED_CELLS);
@@ -354,11 +311,7 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
             let cell = number * run + place as usize;
             let inside = cell < grid.n_cells();
             let places = inside.then(|| candidates(grid, liquid.seed, cell));
-            places
-                .into_iter()
-                .flatten()
-                .filter(|&x| seeding.accepts(x))
-                .count()
+            places.into_iter().flatten().filter(|&x| seeding.accepts(x)).count()
         })
         .sum();
     Ok(markers * run)
@@ -375,10 +328,7 @@ struct Seeding<S> {
 
 impl<S: Fn(DVec3) -> bool> Seeding<S> {
     fn no_air(&self, x: DVec3) -> bool {
-        x.cmple(DVec3::ZERO).any()
-            || x.cmpge(self.size).any()
-            || self.regions.distance(x) < 0.0
-            || (self.in_solid)(x)
+        x.cmple(DVec3::ZERO).any() || x.cmpge(self.size).any() || self.regions.distance(x) < 0.0 || (self.in_solid)(x)
     }
 
     /// Outward direction by central differences over a cell.
@@ -396,8 +346,7 @@ impl<S: Fn(DVec3) -> bool> Seeding<S> {
         let under_air = |direction: DVec3| !self.no_air(x + depth * direction);
         distance < 0.0
             && !(self.in_solid)(x)
-            && (distance <= -depth
-                || !(under_air(self.out(x)) || DIRECTIONS.iter().copied().any(under_air)))
+            && (distance <= -depth || !(under_air(self.out(x)) || DIRECTIONS.iter().copied().any(under_air)))
     }
 }
 
@@ -410,11 +359,7 @@ fn candidates(grid: &Grid, seed: u64, cell: usize) -> impl Iterator<Item = DVec3
         for number in [cell, index] {
             bits = scramble(bits ^ number as u64);
         }
-        let place = [
-            index % PER_EDGE,
-            index / PER_EDGE % PER_EDGE,
-            index / PER_EDGE.pow(2),
-        ];
+        let place = [index % PER_EDGE, index / PER_EDGE % PER_EDGE, index / PER_EDGE.pow(2)];
         let place = DVec3::from_array(place.map(|part| {
             bits = scramble(bits);
             // The upper 53 bits as a number in [0, 1).
@@ -471,30 +416,25 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
             "use more cells (domain.cells, --scale), larger regions, or smaller obstacles",
         ));
     }
-    let at_rest = |region: &Region| {
-        region.velocity == DVec3::ZERO && !matches!(region.shape, Shape::Solitary(_))
-    };
+    let at_rest = |region: &Region| region.velocity == DVec3::ZERO && !matches!(region.shape, Shape::Solitary(_));
     if liquid.regions.iter().all(at_rest) {
         return Ok(state);
     }
     let regions = Regions::new(liquid, grid.size(), |key| scene.at(key))?;
     for (axis, velocity) in Axis::ALL.into_iter().zip(&mut state.velocity) {
-        velocity
-            .par_iter_mut()
-            .enumerate()
-            .for_each(|(face, velocity)| {
-                let at = grid.face_at(axis, face);
-                if !is_wall(grid, scene.domain.open, axis, at) {
-                    let sides = grid.face_sides(axis, at).into_iter().flatten();
-                    let mut centres = sides.map(|cell| grid.cell_centre(grid.cell_at(cell)));
-                    let x = grid.face_centre(axis, at);
-                    *velocity = regions
-                        .velocity(x)
-                        .or_else(|| centres.find_map(|x| regions.velocity(x)))
-                        .or_else(|| regions.nearest_velocity(x, VELOCITY_REACH * grid.dx))
-                        .map_or(0.0, |velocity| velocity[axis.index()]);
-                }
-            });
+        velocity.par_iter_mut().enumerate().for_each(|(face, velocity)| {
+            let at = grid.face_at(axis, face);
+            if !is_wall(grid, scene.domain.open, axis, at) {
+                let sides = grid.face_sides(axis, at).into_iter().flatten();
+                let mut centres = sides.map(|cell| grid.cell_centre(grid.cell_at(cell)));
+                let x = grid.face_centre(axis, at);
+                *velocity = regions
+                    .velocity(x)
+                    .or_else(|| centres.find_map(|x| regions.velocity(x)))
+                    .or_else(|| regions.nearest_velocity(x, VELOCITY_REACH * grid.dx))
+                    .map_or(0.0, |velocity| velocity[axis.index()]);
+            }
+        });
     }
     Ok(state)
 }

@@ -23,18 +23,11 @@ impl Problem {
         problem: impl AsRef<str>,
         cure: impl Into<Cow<'static, str>>,
     ) -> Problem {
-        Problem {
-            line: Some(line),
-            ..Problem::new(format!("{}: {}", quoted(text), problem.as_ref()), cure)
-        }
+        Problem { line: Some(line), ..Problem::new(format!("{}: {}", quoted(text), problem.as_ref()), cure) }
     }
 
     pub(super) fn new(problem: impl Into<String>, cure: impl Into<Cow<'static, str>>) -> Problem {
-        Problem {
-            line: None,
-            problem: problem.into(),
-            cure: cure.into(),
-        }
+        Problem { line: None, problem: problem.into(), cure: cure.into() }
     }
 
     pub(super) fn in_file(self, file: &Path) -> Error {
@@ -50,24 +43,15 @@ pub(super) fn quoted(text: &[u8]) -> String {
     let text = String::from_utf8_lossy(text);
     let text = text.trim();
     let shown = text.chars().take(LONGEST);
-    let shown: String = shown
-        .map(|c| if c.is_control() { '\u{fffd}' } else { c })
-        .collect();
-    let more = if text.chars().nth(LONGEST).is_some() {
-        " ..."
-    } else {
-        ""
-    };
+    let shown: String = shown.map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect();
+    let more = if text.chars().nth(LONGEST).is_some() { " ..." } else { "" };
     format!("`{shown}{more}`")
 }
 
 /// The text without a byte order mark. It need not be UTF-8: names and comments may have any encoding that extends ASCII.
 pub(super) fn without_mark(bytes: &[u8]) -> Result<&[u8], Problem> {
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
-        return Err(Problem::new(
-            "a text in UTF-16",
-            "save the file as UTF-8 or ASCII in an editor",
-        ));
+        return Err(Problem::new("a text in UTF-16", "save the file as UTF-8 or ASCII in an editor"));
     }
     Ok(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes))
 }
@@ -91,19 +75,14 @@ pub(super) fn lines(mut bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
 }
 
 pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> + Clone {
-    line.split(u8::is_ascii_whitespace)
-        .filter(|word| !word.is_empty())
+    line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
 }
 
 /// Parses a number; the error describes the word.
 pub(super) fn number<T: FromStr>(word: &[u8]) -> Result<T, String> {
     let text = str::from_utf8(word).ok();
     text.and_then(|text| text.parse().ok()).ok_or_else(|| {
-        let comma = if word.contains(&b',') {
-            " (decimals are written with a point)"
-        } else {
-            ""
-        };
+        let comma = if word.contains(&b',') { " (decimals are written with a point)" } else { "" };
         format!("{} is not a number{comma}", quoted(word))
     })
 }
@@ -160,10 +139,7 @@ pub(super) fn parse_render_mesh(bytes: &[u8], file: &Path) -> Result<RenderMesh,
         "stl" => stl::read(bytes).map(RenderMesh::from),
         "ply" => ply::read(bytes),
         "glb" | "gltf" => gltf::read(bytes),
-        _ => Err(Problem::new(
-            "unknown kind of mesh file",
-            "use .obj, .stl, .ply, .glb or .gltf",
-        )),
+        _ => Err(Problem::new("unknown kind of mesh file", "use .obj, .stl, .ply, .glb or .gltf")),
     }
     .map_err(|problem| problem.in_file(file))
 }

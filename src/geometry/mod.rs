@@ -54,8 +54,8 @@ pub use coupling::{CellNode, Coupling};
 pub use embedding::Embedding;
 pub use inside::inside;
 pub use liquid::{
-    LiquidSurface, Regions, empty_regions, estimate_markers, initial_speed, initial_state,
-    liquid_distance, seed_markers,
+    LiquidSurface, Regions, empty_regions, estimate_markers, initial_speed, initial_state, liquid_distance,
+    seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cut};
@@ -63,8 +63,8 @@ pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
 pub use render_mesh::{RenderMesh, read_render_mesh};
 pub use solid_clip::{MovedMesh, MovingWall, Nearest, Overlap, SolidClip};
 pub use sources_sinks::{
-    Fill, Lattice, MARKERS_PER_CELL, MOST_SITES, OCTANT_UNITS, PrescribedFace, Running, SourceFace,
-    SourceFlow, SourcesAndSinks,
+    Fill, Lattice, MARKERS_PER_CELL, MOST_SITES, OCTANT_UNITS, PrescribedFace, Running, SourceFace, SourceFlow,
+    SourcesAndSinks,
 };
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;
@@ -108,18 +108,14 @@ pub fn covered_probes(scene: &Scene, grid: &Grid) -> Result<Vec<usize>, Error> {
         return Ok(Vec::new());
     }
     let distance = cut_cells(scene, grid)?.solid_distance;
-    let covered = points
-        .into_iter()
-        .filter(|&(_, point)| grid.sample_cells(&distance, point) < 0.0);
+    let covered = points.into_iter().filter(|&(_, point)| grid.sample_cells(&distance, point) < 0.0);
     Ok(covered.map(|(number, _)| number).collect())
 }
 
 /// The obstacles as placed, before their motion.
 fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error>> {
     let obstacles = scene.obstacles.iter().enumerate();
-    obstacles.map(move |(number, obstacle)| {
-        Body::new(obstacle, &scene.at(&format!("obstacle[{number}]")), grid)
-    })
+    obstacles.map(move |(number, obstacle)| Body::new(obstacle, &scene.at(&format!("obstacle[{number}]")), grid))
 }
 
 /// a b^T
@@ -156,6 +152,5 @@ fn close_walls(grid: &Grid, open_sides: Sides, open: &mut [Vec<f64>; 3]) {
 
 /// Whether a face lies on a wall of the domain.
 fn is_wall(grid: &Grid, open_sides: Sides, axis: Axis, face: [usize; 3]) -> bool {
-    grid.wall(axis, face)
-        .is_some_and(|side| !open_sides.has(axis, side))
+    grid.wall(axis, face).is_some_and(|side| !open_sides.has(axis, side))
 }

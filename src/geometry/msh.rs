@@ -49,10 +49,7 @@ fn kind(element_type: i64) -> Kind {
 /// Reads nodes and tetrahedra, and counts elements of lower dimension. `name` is the file's, for cures.
 pub(super) fn read(bytes: &[u8], name: &str) -> Result<RawTets, Problem> {
     let mut file = Reader::new(bytes, name)?;
-    let mut raw = RawTets {
-        words: ["element", "node"],
-        ..RawTets::default()
-    };
+    let mut raw = RawTets { words: ["element", "node"], ..RawTets::default() };
     let mut numbers = HashMap::new();
     let (mut nodes_seen, mut elements_seen) = (false, false);
     while let Some(section) = file.section()? {
@@ -84,11 +81,7 @@ pub(super) fn read(bytes: &[u8], name: &str) -> Result<RawTets, Problem> {
     Ok(raw)
 }
 
-fn read_nodes(
-    file: &mut Reader,
-    raw: &mut RawTets,
-    numbers: &mut HashMap<u64, u32>,
-) -> Result<(), Problem> {
+fn read_nodes(file: &mut Reader, raw: &mut RawTets, numbers: &mut HashMap<u64, u32>) -> Result<(), Problem> {
     let n_blocks = file.size()?;
     // Number of nodes, smallest and largest tag, which the blocks repeat.
     for _ in 0..3 {
@@ -101,8 +94,7 @@ fn read_nodes(
         let n = file.size()?;
         for _ in 0..n {
             let tag = file.size()?;
-            let number = u32::try_from(raw.node_names.len())
-                .map_err(|_| file.problem("more than 2^32 nodes"))?;
+            let number = u32::try_from(raw.node_names.len()).map_err(|_| file.problem("more than 2^32 nodes"))?;
             if numbers.insert(tag, number).is_some() {
                 return Err(file.problem(format!("node {tag} is there twice")));
             }
@@ -119,11 +111,7 @@ fn read_nodes(
     Ok(())
 }
 
-fn read_elements(
-    file: &mut Reader,
-    raw: &mut RawTets,
-    numbers: &HashMap<u64, u32>,
-) -> Result<(), Problem> {
+fn read_elements(file: &mut Reader, raw: &mut RawTets, numbers: &HashMap<u64, u32>) -> Result<(), Problem> {
     let n_blocks = file.size()?;
     for _ in 0..3 {
         file.size()?;
@@ -141,9 +129,7 @@ fn read_elements(
                     for corner in &mut element {
                         let node = file.size()?;
                         *corner = *numbers.get(&node).ok_or_else(|| {
-                            file.problem(format!(
-                                "element {tag} has node {node}, which is not in $Nodes"
-                            ))
+                            file.problem(format!("element {tag} has node {node}, which is not in $Nodes"))
                         })?;
                     }
                     raw.element_names.push(tag);
@@ -197,12 +183,7 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn new(bytes: &'a [u8], name: &'a str) -> Result<Reader<'a>, Problem> {
-        let mut file = Reader {
-            bytes,
-            at: 0,
-            binary: None,
-            name,
-        };
+        let mut file = Reader { bytes, at: 0, binary: None, name };
         if !matches!(file.section(), Ok(Some("MeshFormat"))) {
             return Err(Problem::new(
                 "not a Gmsh file: it does not begin with $MeshFormat",
@@ -236,9 +217,7 @@ impl<'a> Reader<'a> {
                 file.binary = Some(Binary { size, big_endian });
             }
             other => {
-                return Err(file.problem(format!(
-                    "file type {other}: neither text (0) nor binary (1)"
-                )));
+                return Err(file.problem(format!("file type {other}: neither text (0) nor binary (1)")));
             }
         }
         file.end("MeshFormat")?;
@@ -253,10 +232,7 @@ impl<'a> Reader<'a> {
             None => {
                 let before = &self.bytes[..self.at];
                 let newlines = before.iter().filter(|&&byte| byte == b'\n').count();
-                Problem {
-                    line: Some(newlines + 1),
-                    ..Problem::new(problem, cure)
-                }
+                Problem { line: Some(newlines + 1), ..Problem::new(problem, cure) }
             }
         }
     }
@@ -293,9 +269,7 @@ impl<'a> Reader<'a> {
             return Ok(None);
         }
         let token = self.token()?;
-        let name = token
-            .strip_prefix('$')
-            .filter(|name| !name.starts_with("End"));
+        let name = token.strip_prefix('$').filter(|name| !name.starts_with("End"));
         let name = name.ok_or_else(|| self.problem(format!("{token:?} where a section begins")))?;
         self.line_end();
         Ok(Some(name))
@@ -305,9 +279,7 @@ impl<'a> Reader<'a> {
     fn skip_section(&mut self, section: &str) -> Result<(), Problem> {
         let end = format!("$End{section}");
         let rest = &self.bytes[self.at..];
-        let found = rest
-            .windows(end.len())
-            .position(|part| part == end.as_bytes());
+        let found = rest.windows(end.len()).position(|part| part == end.as_bytes());
         self.at += found.ok_or_else(|| self.problem(format!("{end} is missing")))?;
         Ok(())
     }
@@ -333,9 +305,7 @@ impl<'a> Reader<'a> {
 
     fn parsed<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, Problem> {
         let token = self.token()?;
-        token
-            .parse()
-            .map_err(|_| self.problem(format!("{token:?} where {what} belongs")))
+        token.parse().map_err(|_| self.problem(format!("{token:?} where {what} belongs")))
     }
 
     fn int(&mut self) -> Result<i64, Problem> {

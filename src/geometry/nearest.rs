@@ -34,12 +34,8 @@ impl Lattice {
     fn range(&self, axis: usize, low: f64, high: f64) -> std::ops::Range<usize> {
         let n = self.n[axis] as f64;
         // With a margin, so that rounding excludes no end point.
-        let first = (low / self.dx - self.offset - ROUNDING)
-            .ceil()
-            .clamp(0.0, n);
-        let last = (high / self.dx - self.offset + ROUNDING)
-            .floor()
-            .clamp(-1.0, n - 1.0);
+        let first = (low / self.dx - self.offset - ROUNDING).ceil().clamp(0.0, n);
+        let last = (high / self.dx - self.offset + ROUNDING).floor().clamp(-1.0, n - 1.0);
         first as usize..(last + 1.0) as usize
     }
 }
@@ -83,18 +79,13 @@ impl NearestTriangles {
     }
 
     /// Nearest triangle of a point, and barycentric coordinates of the nearest point.
-    pub(super) fn nearest(
-        &self,
-        point: usize,
-        corners: impl Fn(usize) -> [DVec3; 3],
-    ) -> Option<(usize, [f64; 3])> {
+    pub(super) fn nearest(&self, point: usize, corners: impl Fn(usize) -> [DVec3; 3]) -> Option<(usize, [f64; 3])> {
         let triangle = self.triangle[point];
         if triangle == NONE {
             return None;
         }
         let [a, b, c] = corners(triangle as usize);
-        let (_, place) = Triangle::new(a, b, c)
-            .project_local_point_and_get_location(self.lattice.point(point), true);
+        let (_, place) = Triangle::new(a, b, c).project_local_point_and_get_location(self.lattice.point(point), true);
         let weights = place.barycentric_coordinates()?;
         Some((triangle as usize, weights))
     }
@@ -105,16 +96,11 @@ impl NearestTriangles {
             self.square[point] = f64::INFINITY;
         }
         let (lattice, reach) = (self.lattice, self.reach);
-        let triangles: Vec<BoundedTriangle> = corners
-            .par_iter()
-            .map(|&corners| BoundedTriangle::new(&lattice, reach, corners))
-            .collect();
+        let triangles: Vec<BoundedTriangle> =
+            corners.par_iter().map(|&corners| BoundedTriangle::new(&lattice, reach, corners)).collect();
         let [nx, ny, _] = lattice.n;
         let slab = nx * ny * SLAB;
-        let slabs = self
-            .triangle
-            .par_chunks_mut(slab)
-            .zip(self.square.par_chunks_mut(slab));
+        let slabs = self.triangle.par_chunks_mut(slab).zip(self.square.par_chunks_mut(slab));
         let near: Vec<Vec<usize>> = slabs
             .enumerate()
             .map(|(number, (nearest, squares))| {
@@ -225,11 +211,7 @@ pub(super) fn inside_tetrahedra(
         }
         inside
     };
-    let mut inside: Vec<(usize, u32)> = elements
-        .par_iter()
-        .enumerate()
-        .flat_map_iter(element_points)
-        .collect();
+    let mut inside: Vec<(usize, u32)> = elements.par_iter().enumerate().flat_map_iter(element_points).collect();
     inside.par_sort_unstable();
     inside.dedup();
     inside

@@ -11,8 +11,7 @@ use super::mesh_file::{Problem, lines, number, without_mark, words};
 use super::polygon::{Defect, Polygons};
 use super::render_mesh::RenderMesh;
 
-const CURE: &str =
-    "write v lines with three coordinates and f lines with the numbers of existing vertices";
+const CURE: &str = "write v lines with three coordinates and f lines with the numbers of existing vertices";
 
 /// Kinds of statements.
 #[derive(Clone, Copy, PartialEq)]
@@ -39,12 +38,10 @@ fn statement(keyword: &[u8]) -> Option<Statement> {
         "vt" => Statement::Texture,
         "vn" => Statement::Normal,
         "f" | "fo" => Statement::Face,
-        "g" | "o" | "usemtl" | "mtllib" | "usemap" | "maplib" | "shadow_obj" | "trace_obj" => {
-            Statement::Name
-        }
-        "vp" | "vc" | "l" | "p" | "s" | "mg" | "lod" | "bevel" | "c_interp" | "d_interp"
-        | "ctech" | "stech" | "curv" | "curv2" | "cstype" | "deg" | "bmat" | "step" | "parm"
-        | "trim" | "hole" | "scrv" | "sp" | "end" | "con" => Statement::Ignored,
+        "g" | "o" | "usemtl" | "mtllib" | "usemap" | "maplib" | "shadow_obj" | "trace_obj" => Statement::Name,
+        "vp" | "vc" | "l" | "p" | "s" | "mg" | "lod" | "bevel" | "c_interp" | "d_interp" | "ctech" | "stech"
+        | "curv" | "curv2" | "cstype" | "deg" | "bmat" | "step" | "parm" | "trim" | "hole" | "scrv" | "sp" | "end"
+        | "con" => Statement::Ignored,
         "surf" | "bsp" | "bzp" | "cdp" | "res" | "call" | "csh" => Statement::Unsupported,
         _ => return None,
     })
@@ -67,11 +64,7 @@ fn join_lines<'a>(
         let Some(&(_, next)) = lines.peek() else {
             break;
         };
-        if is_name
-            && words(next)
-                .next()
-                .is_none_or(|word| statement(word).is_some())
-        {
+        if is_name && words(next).next().is_none_or(|word| statement(word).is_some()) {
             break;
         }
         let next = next.trim_ascii_end();
@@ -105,9 +98,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
             Problem::at_line(here, problem, "remove the line, or begin it with #")
         })?;
         let joined = join_lines(here, kind, &mut lines)?;
-        let mut rest = words(&joined)
-            .skip(1)
-            .take_while(|word| !word.starts_with(b"#"));
+        let mut rest = words(&joined).skip(1).take_while(|word| !word.starts_with(b"#"));
         match kind {
             Statement::Name | Statement::Ignored => {}
             Statement::Unsupported => {
@@ -118,24 +109,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
                 ));
             }
             Statement::Vertex => {
-                positions.push(vector(
-                    &mut rest,
-                    "a position of fewer than three coordinates",
-                    "position: ",
-                    here,
-                )?);
+                positions.push(vector(&mut rest, "a position of fewer than three coordinates", "position: ", here)?);
                 // Weights and colours may follow.
                 for word in rest {
                     number::<f64>(word).map_err(|word| problem(&word))?;
                 }
             }
             Statement::Normal => {
-                normals.push(vector(
-                    &mut rest,
-                    "a normal of fewer than three coordinates",
-                    "normal: ",
-                    here,
-                )?);
+                normals.push(vector(&mut rest, "a normal of fewer than three coordinates", "normal: ", here)?);
             }
             Statement::Texture => {
                 // One coordinate is enough for a line of colours.
@@ -156,14 +137,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
                             continue;
                         }
                         let vertex: i64 = number(word).map_err(|word| problem(&word))?;
-                        let known = if vertex < 0 {
-                            vertex.checked_add(n as i64)
-                        } else {
-                            Some(vertex - 1)
-                        };
+                        let known = if vertex < 0 { vertex.checked_add(n as i64) } else { Some(vertex - 1) };
                         let known = known.and_then(|number| u32::try_from(number).ok());
-                        let known =
-                            known.ok_or_else(|| problem(&out_of_bounds(PARTS[part], vertex, n)))?;
+                        let known = known.ok_or_else(|| problem(&out_of_bounds(PARTS[part], vertex, n)))?;
                         numbers[part] = Some(known);
                     }
                     polygons.push_corner(corners.number(numbers, here));
@@ -184,15 +160,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
         let [position, uv, normal] = numbers.map(|number| number.map(|number| number as usize));
         mesh.vertices.push(positions[position.unwrap_or_default()]);
         mesh.texture.push(uv.map_or([0.0; 2], |uv| texture[uv]));
-        mesh.normals
-            .push(normal.map_or(DVec3::ZERO, |normal| normals[normal]));
+        mesh.normals.push(normal.map_or(DVec3::ZERO, |normal| normals[normal]));
     }
-    let lacks = |part: usize| {
-        corners
-            .all
-            .iter()
-            .all(|(numbers, _)| numbers[part].is_none())
-    };
+    let lacks = |part: usize| corners.all.iter().all(|(numbers, _)| numbers[part].is_none());
     if lacks(1) {
         mesh.texture.clear();
     }
@@ -233,19 +203,11 @@ impl<'a> Corners<'a> {
 }
 
 /// The next three numbers of a line.
-fn vector<'a>(
-    words: &mut impl Iterator<Item = &'a [u8]>,
-    few: &str,
-    what: &str,
-    here: Line,
-) -> Result<DVec3, Problem> {
+fn vector<'a>(words: &mut impl Iterator<Item = &'a [u8]>, few: &str, what: &str, here: Line) -> Result<DVec3, Problem> {
     let mut x = DVec3::ZERO;
     for axis in 0..3 {
-        let word = words
-            .next()
-            .ok_or_else(|| Problem::at_line(here, few, CURE))?;
-        x[axis] =
-            number(word).map_err(|word| Problem::at_line(here, format!("{what}{word}"), CURE))?;
+        let word = words.next().ok_or_else(|| Problem::at_line(here, few, CURE))?;
+        x[axis] = number(word).map_err(|word| Problem::at_line(here, format!("{what}{word}"), CURE))?;
     }
     Ok(x)
 }

@@ -84,21 +84,11 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     let OpenFractions { faces: raw, .. } = open_fractions(grid, start, &clippings);
     let area_clamp = scene.solver.area_clamp;
     let clamped = |open: &f64| clamp_open(*open, area_clamp);
-    let mut open = raw
-        .each_ref()
-        .map(|open| open.iter().map(clamped).collect());
+    let mut open = raw.each_ref().map(|open| open.iter().map(clamped).collect());
     let open_sides = scene.domain.open;
     close_walls(grid, open_sides, &mut open);
-    let cut = CutCells {
-        open,
-        solid_distance,
-    };
-    let mut all = ObstacleCut {
-        raw: raw.clone(),
-        open_sides,
-        cut: cut.clone(),
-        moving: None,
-    };
+    let cut = CutCells { open, solid_distance };
+    let mut all = ObstacleCut { raw: raw.clone(), open_sides, cut: cut.clone(), moving: None };
     if !bodies.is_empty() {
         all.moving = Some(Box::new(MovingObstacles {
             grid: *grid,
@@ -135,16 +125,8 @@ pub fn deepest_obstacle(scene: &Scene, grid: &Grid, x: DVec3) -> Result<Option<u
 }
 
 /// Refuses a surface that is not closed: the apertures along a grid line end at another value than they start.
-fn ensure_closed(
-    name: &str,
-    surface: &Surface,
-    clipping: &Clipping,
-    grid: &Grid,
-) -> Result<(), Error> {
-    let defect = Axis::ALL
-        .map(|axis| line_sums(grid, axis, clipping).1)
-        .into_iter()
-        .fold(0.0, f64::max);
+fn ensure_closed(name: &str, surface: &Surface, clipping: &Clipping, grid: &Grid) -> Result<(), Error> {
+    let defect = Axis::ALL.map(|axis| line_sums(grid, axis, clipping).1).into_iter().fold(0.0, f64::max);
     // Rounding of positions enters areas: 1e-12 holds for bodies within 200 cells of the origin.
     let [low, high] = surface.bounds();
     let reach = low.abs().max(high.abs()).max_element() / (200.0 * grid.dx);
@@ -169,23 +151,13 @@ impl ObstacleCut {
         let open_sides = Sides::default();
         close_walls(grid, open_sides, &mut open);
         let solid_distance = vec![BAND * grid.dx; grid.n_cells()];
-        let cut = CutCells {
-            open,
-            solid_distance,
-        };
-        ObstacleCut {
-            raw,
-            open_sides,
-            cut,
-            moving: None,
-        }
+        let cut = CutCells { open, solid_distance };
+        ObstacleCut { raw, open_sides, cut, moving: None }
     }
 
     /// Apertures and distances of the static obstacles.
     pub fn static_cut(&self) -> &CutCells {
-        self.moving
-            .as_ref()
-            .map_or(&self.cut, |moving| &moving.static_cut)
+        self.moving.as_ref().map_or(&self.cut, |moving| &moving.static_cut)
     }
 
     /// The obstacles as nodes of solids meet them.
@@ -204,10 +176,7 @@ impl ObstacleCut {
     /// Faces per axis, and cells, that differ from those of the static obstacles.
     pub(super) fn changed(&self) -> ([&[usize]; 3], &[usize]) {
         match &self.moving {
-            Some(moving) => (
-                moving.changed_faces.each_ref().map(Vec::as_slice),
-                moving.field.changed(),
-            ),
+            Some(moving) => (moving.changed_faces.each_ref().map(Vec::as_slice), moving.field.changed()),
             None => ([&[]; 3], &[]),
         }
     }
@@ -317,12 +286,7 @@ impl MovingBody {
         let pivot = motion.pivot.unwrap_or(0.5 * (low + high));
         let distances = rest.surface.vertices.iter().map(|x| x.distance(pivot));
         let radius = distances.fold(0.0, f64::max);
-        MovingBody {
-            rest,
-            motion: motion.clone(),
-            pivot,
-            radius,
-        }
+        MovingBody { rest, motion: motion.clone(), pivot, radius }
     }
 
     fn ensure_closed(&self, name: &str, grid: &Grid) -> Result<(), Error> {
@@ -338,11 +302,7 @@ impl MovingBody {
     /// The body at a time (s), including its sides on walls.
     pub(super) fn at(&self, time: f64) -> Body {
         let (rotation, translate) = self.pose(time);
-        self.rest.moved(&RigidDisplacement {
-            pivot: self.pivot,
-            rotation: DMat3::from_quat(rotation),
-            translate,
-        })
+        self.rest.moved(&RigidDisplacement { pivot: self.pivot, rotation: DMat3::from_quat(rotation), translate })
     }
 
     /// Mean velocity over dt (s) from a time on; instantaneous with dt = 0.
@@ -368,8 +328,7 @@ fn joined<'a>(surfaces: impl Iterator<Item = &'a Surface>) -> (Surface, Vec<usiz
         let first = all.vertices.len() as u32;
         all.vertices.extend(&surface.vertices);
         let triangles = surface.triangles.iter();
-        all.triangles
-            .extend(triangles.map(|triangle| triangle.map(|vertex| vertex + first)));
+        all.triangles.extend(triangles.map(|triangle| triangle.map(|vertex| vertex + first)));
         body_of.resize(all.triangles.len(), number);
     }
     (all, body_of)
@@ -392,9 +351,7 @@ impl ObstacleSurfaces {
             Ok((surface, motion.map(|motion| MovingBody::new(body, motion))))
         };
         let bodies = scene.obstacles.iter().enumerate().map(body);
-        Ok(ObstacleSurfaces {
-            bodies: bodies.collect::<Result<_, Error>>()?,
-        })
+        Ok(ObstacleSurfaces { bodies: bodies.collect::<Result<_, Error>>()? })
     }
 
     /// The surfaces at a time, s.

@@ -30,27 +30,15 @@ impl Part<'_> {
     fn new(surface: &Surface, triangles: Vec<[u32; 3]>) -> Part<'_> {
         let corners = triangles.iter().flatten();
         let part = Surface {
-            vertices: corners
-                .clone()
-                .map(|&vertex| surface.vertices[vertex as usize])
-                .collect(),
-            triangles: (0..triangles.len() as u32)
-                .map(|number| [0, 1, 2].map(|corner| 3 * number + corner))
-                .collect(),
+            vertices: corners.clone().map(|&vertex| surface.vertices[vertex as usize]).collect(),
+            triangles: (0..triangles.len() as u32).map(|number| [0, 1, 2].map(|corner| 3 * number + corner)).collect(),
         }
         .welded();
         let vertices = corners.copied().collect();
         let (bounds, hole) = (part.bounds(), part.volume() < 0.0);
-        let mesh = TriMesh::with_flags(part.vertices, part.triangles, TriMeshFlags::ORIENTED)
-            .expect("a part has triangles");
-        Part {
-            surface,
-            triangles,
-            vertices,
-            mesh,
-            bounds,
-            hole,
-        }
+        let mesh =
+            TriMesh::with_flags(part.vertices, part.triangles, TriMeshFlags::ORIENTED).expect("a part has triangles");
+        Part { surface, triangles, vertices, mesh, bounds, hole }
     }
 
     fn may_touch(&self, [low, high]: [DVec3; 2]) -> bool {
@@ -75,9 +63,11 @@ impl Part<'_> {
             let ray = Ray::new(from, to - from);
             other.mesh.cast_local_ray(&ray, length, false).is_some()
         };
-        let mut edges = self.triangles.iter().flat_map(edges).filter(|&[from, to]| {
-            from < to && other.may_touch([at(from).min(at(to)), at(from).max(at(to))])
-        });
+        let mut edges = self
+            .triangles
+            .iter()
+            .flat_map(edges)
+            .filter(|&[from, to]| from < to && other.may_touch([at(from).min(at(to)), at(from).max(at(to))]));
         let crossing = edges.find(|&[from, to]| {
             let shared = [from, to].map(|vertex| other.vertices.contains(&vertex));
             let [from, to] = [from, to].map(at);
@@ -101,15 +91,10 @@ pub(super) fn fault(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Opti
     if groups.len() < 2 {
         return None;
     }
-    let parts: Vec<Part> = groups
-        .into_iter()
-        .map(|triangles| Part::new(surface, triangles))
-        .collect();
+    let parts: Vec<Part> = groups.into_iter().map(|triangles| Part::new(surface, triangles)).collect();
     for (number, part) in parts.iter().enumerate() {
         let others = parts.iter().enumerate();
-        let near = others.filter(|(other_number, other)| {
-            *other_number != number && other.may_touch(part.bounds)
-        });
+        let near = others.filter(|(other_number, other)| *other_number != number && other.may_touch(part.bounds));
         let mut around = 0;
         for (_, other) in near {
             if let Some([a, b]) = part.crossing(other) {
@@ -137,9 +122,7 @@ pub(super) fn fault(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Opti
                 }
             } else {
                 Fault {
-                    problem: format!(
-                        "two of its parts overlap: the one at {at} lies inside another"
-                    ),
+                    problem: format!("two of its parts overlap: the one at {at} lies inside another"),
                     cure: "remove the inner part in a mesh tool; if it is meant to be a hole, flip its normals",
                 }
             });

@@ -30,9 +30,7 @@ fn point(x: DVec3) -> DVec3 {
 pub(super) fn outside([low, high]: [DVec3; 2], size: DVec3, name: &str) -> Error {
     let cure = match (high - low).max_element() > OTHER_UNIT * size.max_element() {
         true => UNIT_CURE,
-        false => {
-            "move it with placement.at, the position of its centre, so that a part lies inside"
-        }
+        false => "move it with placement.at, the position of its centre, so that a part lies inside",
     };
     Error::input(
         name,
@@ -46,12 +44,7 @@ pub(super) fn outside([low, high]: [DVec3; 2], size: DVec3, name: &str) -> Error
 }
 
 /// Refuses a mesh obstacle that never reaches the domain; `surface` is placed, before the motion.
-pub(super) fn ensure_in_domain(
-    obstacle: &Obstacle,
-    surface: &Surface,
-    name: &str,
-    size: DVec3,
-) -> Result<(), Error> {
+pub(super) fn ensure_in_domain(obstacle: &Obstacle, surface: &Surface, name: &str, size: DVec3) -> Result<(), Error> {
     let bounds = surface.bounds();
     let motion = obstacle.motion.as_ref();
     let moves_in = motion.is_some_and(|motion| motion.may_reach(bounds, size));
@@ -72,11 +65,7 @@ pub(super) fn ensure_size(
     if extent <= OTHER_UNIT * size.max_element() {
         return Ok(());
     }
-    let problem = format!(
-        "its mesh is {} m long, the domain {} m",
-        rounded(extent),
-        size.max_element()
-    );
+    let problem = format!("its mesh is {} m long, the domain {} m", rounded(extent), size.max_element());
     Err(Error::input(name, problem, UNIT_CURE))
 }
 
@@ -95,8 +84,7 @@ pub fn large_meshes(scene: &Scene) -> Result<Vec<(String, f64)>, Error> {
     let mut large = Vec::new();
     for (key, shape, scale) in obstacles.chain(regions) {
         if let Shape::Mesh { file, unit } = shape {
-            let surface =
-                read_surface(file, *unit).map_err(|error| error.within(&scene.at(&key)))?;
+            let surface = read_surface(file, *unit).map_err(|error| error.within(&scene.at(&key)))?;
             let [low, high] = surface.bounds();
             let extent = scale * (high - low).max_element();
             if extent > OTHER_UNIT * scene.domain.size.max_element() {
@@ -167,8 +155,7 @@ pub fn solid_overlaps(mesh: &MovedMesh) -> Vec<SolidOverlap> {
         let least = OVERLAP * side(a).min(side(b));
         let depths = [(a, b), (b, a)].into_iter().flat_map(|(body, other)| {
             let near = points(body).filter(|x| x.cmpge(low).all() && x.cmple(high).all());
-            near.map(|x| (closed[other].depth(x), x))
-                .collect::<Vec<_>>()
+            near.map(|x| (closed[other].depth(x), x)).collect::<Vec<_>>()
         });
         let (depth, at) = depths.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let solids = [a, b];

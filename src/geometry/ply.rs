@@ -81,9 +81,7 @@ struct Row {
 
 impl Row {
     fn values(&self, property: usize) -> &[f64] {
-        let start = property
-            .checked_sub(1)
-            .map_or(0, |before| self.ends[before]);
+        let start = property.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.values[start..self.ends[property]]
     }
 }
@@ -97,17 +95,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
     for element in &elements {
         let name = String::from_utf8_lossy(&element.name);
         let is_vertex = element.name == b"vertex";
-        let list = ["vertex_indices", "vertex_index"]
-            .iter()
-            .find_map(|name| element.index(name));
+        let list = ["vertex_indices", "vertex_index"].iter().find_map(|name| element.index(name));
         let coordinates = ["x", "y", "z"].map(|name| element.index(name).ok_or(name));
         let n = match element.properties.is_empty() {
             true => 0,
             false => element.n,
         };
         for number in 1..=n {
-            let problem =
-                |problem: String| Problem::new(format!("{name} {number}: {problem}"), CURE);
+            let problem = |problem: String| Problem::new(format!("{name} {number}: {problem}"), CURE);
             data.read(format, element, number, &mut row)?;
             if is_vertex {
                 let mut x = DVec3::ZERO;
@@ -137,8 +132,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
             let mut polygon = |vertices: &[f64]| {
                 for &vertex in vertices {
                     // Above any vertex count, so that the conversion is exact.
-                    let known =
-                        vertex >= 0.0 && vertex < f64::from(u32::MAX) && vertex.fract() == 0.0;
+                    let known = vertex >= 0.0 && vertex < f64::from(u32::MAX) && vertex.fract() == 0.0;
                     if !known {
                         return Err(problem(format!("{vertex} is no number of a vertex")));
                     }
@@ -153,11 +147,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
                     for (number, triangle) in strip.windows(3).enumerate() {
                         let (a, b, c) = (triangle[0], triangle[1], triangle[2]);
                         if a != b && b != c && c != a {
-                            polygon(&if number % 2 == 0 {
-                                [a, b, c]
-                            } else {
-                                [b, a, c]
-                            })?;
+                            polygon(&if number % 2 == 0 { [a, b, c] } else { [b, a, c] })?;
                         }
                     }
                 }
@@ -184,8 +174,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RenderMesh, Problem> {
 fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
     // The newline of the first line applies to the whole header: the byte behind `end_header` may be data.
     let newline = bytes.iter().position(|byte| b"\r\n".contains(byte));
-    let cr_alone =
-        newline.is_some_and(|at| bytes[at] == b'\r' && bytes.get(at + 1) != Some(&b'\n'));
+    let cr_alone = newline.is_some_and(|at| bytes[at] == b'\r' && bytes.get(at + 1) != Some(&b'\n'));
     let newline = if cr_alone { b'\r' } else { b'\n' };
     let mut format = None;
     let mut elements: Vec<Element> = Vec::new();
@@ -198,10 +187,7 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
         match words.as_slice() {
             [b"ply"] if number == 0 => {}
             _ if number == 0 => {
-                return Err(Problem::new(
-                    "not a PLY file: its first line is not `ply`",
-                    CURE,
-                ));
+                return Err(Problem::new("not a PLY file: its first line is not `ply`", CURE));
             }
             [] | [b"comment" | b"obj_info", ..] => {}
             [b"format", kind, _] if format.is_none() => {
@@ -214,11 +200,7 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
             }
             [b"element", name, n] => {
                 let n = self::number(n).map_err(|why| Problem::at_line(here, why, CURE))?;
-                elements.push(Element {
-                    name: name.to_vec(),
-                    n,
-                    properties: Vec::new(),
-                });
+                elements.push(Element { name: name.to_vec(), n, properties: Vec::new() });
             }
             [b"property", kind @ .., name] => {
                 let element = elements.last_mut().ok_or_else(problem)?;
@@ -231,20 +213,12 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
                     _ => return Err(problem()),
                 };
                 let kind = Type::named(kind).ok_or_else(problem)?;
-                element.properties.push(Property {
-                    name: name.to_vec(),
-                    count,
-                    kind,
-                });
+                element.properties.push(Property { name: name.to_vec(), count, kind });
             }
             [b"end_header"] => {
-                let format =
-                    format.ok_or_else(|| Problem::new("the header has no `format`", CURE))?;
+                let format = format.ok_or_else(|| Problem::new("the header has no `format`", CURE))?;
                 check(&elements)?;
-                let data = Data {
-                    rest: bytes.get(at..).unwrap_or_default(),
-                    line: number + 1,
-                };
+                let data = Data { rest: bytes.get(at..).unwrap_or_default(), line: number + 1 };
                 return Ok((format, elements, data));
             }
             _ => return Err(problem()),
@@ -256,9 +230,7 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
 /// Refuses elements without vertices or lists, and unsupported elements with vertices.
 fn check(elements: &[Element]) -> Result<(), Problem> {
     let count = |name: &str| {
-        let named = elements
-            .iter()
-            .filter(|element| element.name == name.as_bytes());
+        let named = elements.iter().filter(|element| element.name == name.as_bytes());
         named.count()
     };
     match count("vertex") {
@@ -270,30 +242,19 @@ fn check(elements: &[Element]) -> Result<(), Problem> {
         return Err(Problem::new("no element `face`", CURE));
     }
     for element in elements {
-        let lists = ["vertex_indices", "vertex_index"]
-            .iter()
-            .find_map(|name| element.index(name));
+        let lists = ["vertex_indices", "vertex_index"].iter().find_map(|name| element.index(name));
         let lists = lists.map(|index| &element.properties[index]);
         let is_surface = element.name == b"face" || element.name == b"tristrips";
         let name = quoted(&element.name);
         match lists {
             Some(list) if is_surface && (list.count.is_none() || !list.kind.is_whole()) => {
-                return Err(Problem::new(
-                    format!("{name} has no list `vertex_indices` of whole numbers"),
-                    CURE,
-                ));
+                return Err(Problem::new(format!("{name} has no list `vertex_indices` of whole numbers"), CURE));
             }
             None if is_surface && element.n > 0 => {
-                return Err(Problem::new(
-                    format!("{name} has no list `vertex_indices` of vertex numbers"),
-                    CURE,
-                ));
+                return Err(Problem::new(format!("{name} has no list `vertex_indices` of vertex numbers"), CURE));
             }
             Some(_) if !is_surface => {
-                return Err(Problem::new(
-                    format!("elements {name} have vertices and are not read"),
-                    CURE,
-                ));
+                return Err(Problem::new(format!("elements {name} have vertices and are not read"), CURE));
             }
             _ => {}
         }
@@ -309,25 +270,13 @@ struct Data<'a> {
 }
 
 impl<'a> Data<'a> {
-    fn read(
-        &mut self,
-        format: Format,
-        element: &Element,
-        number: u64,
-        row: &mut Row,
-    ) -> Result<(), Problem> {
+    fn read(&mut self, format: Format, element: &Element, number: u64, row: &mut Row) -> Result<(), Problem> {
         row.values.clear();
         row.ends.clear();
         let early = || {
             let name = String::from_utf8_lossy(&element.name);
-            let problem = format!(
-                "the file ends too early: in or before {name} {number} of {}",
-                element.n
-            );
-            Problem::new(
-                problem,
-                "export the mesh again: the file is damaged or cut off",
-            )
+            let problem = format!("the file ends too early: in or before {name} {number} of {}", element.n);
+            Problem::new(problem, "export the mesh again: the file is damaged or cut off")
         };
         if format == Format::Text {
             let here = self.line().ok_or_else(early)?;
@@ -341,8 +290,7 @@ impl<'a> Data<'a> {
             };
             // A negative count has no values; one beyond the file ends it early.
             for _ in 0..n as u64 {
-                row.values
-                    .push(self.binary(property.kind, big_endian).ok_or_else(early)?);
+                row.values.push(self.binary(property.kind, big_endian).ok_or_else(early)?);
             }
             row.ends.push(row.values.len());
         }
@@ -399,9 +347,7 @@ fn text_row(here: (usize, &[u8]), element: &Element, row: &mut Row) -> Result<()
     let mut words = words(here.1);
     for property in &element.properties {
         let mut value = |kind: Type| {
-            let word = words
-                .next()
-                .ok_or_else(|| problem("fewer values than the header declares"))?;
+            let word = words.next().ok_or_else(|| problem("fewer values than the header declares"))?;
             // Rounds single precision once, as binary files do.
             let value: f64 = match kind {
                 Type::F32 => number::<f32>(word).map(f64::from),

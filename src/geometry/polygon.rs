@@ -13,10 +13,7 @@ use super::surface::is_near;
 
 /// Splits a polygon into triangles of the same orientation. Repeated successive corners count once. The error is the end of a
 /// sentence about the polygon.
-pub(super) fn triangulate(
-    vertices: &[DVec3],
-    polygon: &[u32],
-) -> Result<Vec<[u32; 3]>, &'static str> {
+pub(super) fn triangulate(vertices: &[DVec3], polygon: &[u32]) -> Result<Vec<[u32; 3]>, &'static str> {
     let at = |vertex: u32| vertices[vertex as usize];
     let mut corners: Vec<u32> = Vec::with_capacity(polygon.len());
     for &vertex in polygon {
@@ -37,19 +34,13 @@ pub(super) fn triangulate(
         return Ok(fan.map(|pair| [corners[0], pair[0], pair[1]]).collect());
     }
     // From the lowest corner, so that rounding does not depend on the first corner of the file.
-    let key = |corner: usize| {
-        [corner, corner + 1, corner + n - 1].map(|corner| at(corners[corner % n]).to_array())
-    };
+    let key = |corner: usize| [corner, corner + 1, corner + n - 1].map(|corner| at(corners[corner % n]).to_array());
     let first = (0..n).min_by(|&a, &b| key(a).partial_cmp(&key(b)).expect("finite numbers"));
     corners.rotate_left(first.unwrap_or(0));
     let origin = at(corners[0]);
     // Newell's normal: twice the area vector.
-    let normal: DVec3 = (corners.windows(2))
-        .map(|pair| (at(pair[0]) - origin).cross(at(pair[1]) - origin))
-        .sum();
-    let extent = (corners.iter())
-        .map(|&vertex| at(vertex).distance_squared(origin))
-        .fold(0.0, f64::max);
+    let normal: DVec3 = (corners.windows(2)).map(|pair| (at(pair[0]) - origin).cross(at(pair[1]) - origin)).sum();
+    let extent = (corners.iter()).map(|&vertex| at(vertex).distance_squared(origin)).fold(0.0, f64::max);
     if normal.length() <= 1e-14 * extent {
         return Err("has no area");
     }
@@ -60,11 +51,7 @@ pub(super) fn triangulate(
 }
 
 /// The diagonal with the larger smaller triangle, areas projected along the normal.
-fn quadrilateral(
-    vertices: &[DVec3],
-    [a, b, c, d]: [u32; 4],
-    normal: DVec3,
-) -> Result<Vec<[u32; 3]>, &'static str> {
+fn quadrilateral(vertices: &[DVec3], [a, b, c, d]: [u32; 4], normal: DVec3) -> Result<Vec<[u32; 3]>, &'static str> {
     let area = |triangle: [u32; 3]| {
         let [a, b, c] = triangle.map(|vertex| vertices[vertex as usize]);
         (b - a).cross(c - a).dot(normal)
@@ -95,10 +82,7 @@ pub(super) enum Defect {
 
 impl<T> Polygons<T> {
     pub(super) fn new() -> Polygons<T> {
-        Polygons {
-            corners: Vec::new(),
-            ends: Vec::new(),
-        }
+        Polygons { corners: Vec::new(), ends: Vec::new() }
     }
 
     pub(super) fn push_corner(&mut self, vertex: u32) {
@@ -137,11 +121,7 @@ impl<T> Polygons<T> {
 const CROSSES: &str = "crosses or touches itself, seen along its normal";
 
 /// Triangulates the projection along the dominant axis of the normal, which is free of rounding.
-fn constrained_delaunay(
-    vertices: &[DVec3],
-    corners: &[u32],
-    normal: DVec3,
-) -> Result<Vec<[u32; 3]>, &'static str> {
+fn constrained_delaunay(vertices: &[DVec3], corners: &[u32], normal: DVec3) -> Result<Vec<[u32; 3]>, &'static str> {
     let axis = normal.abs().max_position();
     let mut plane = ConstrainedDelaunayTriangulation::<Point2<f64>>::new();
     // Corners by their vertex in the plane. Bridges to holes visit a point twice.
@@ -170,27 +150,15 @@ fn constrained_delaunay(
     // Flood fill from outside: an edge with an odd number of passes separates inside and outside.
     let mut inside: Vec<Option<bool>> = vec![None; plane.num_all_faces()];
     inside[plane.outer_face().fix().index()] = Some(false);
-    let mut stack: Vec<_> = (plane.convex_hull())
-        .map(|edge| {
-            if edge.is_outer_edge() {
-                edge
-            } else {
-                edge.rev()
-            }
-        })
-        .collect();
+    let mut stack: Vec<_> =
+        (plane.convex_hull()).map(|edge| if edge.is_outer_edge() { edge } else { edge.rev() }).collect();
     while let Some(edge) = stack.pop() {
         let here = inside[edge.face().fix().index()].expect("edges of faces that were reached");
         let face = edge.rev().face();
-        let Some(inner) = face
-            .as_inner()
-            .filter(|face| inside[face.fix().index()].is_none())
-        else {
+        let Some(inner) = face.as_inner().filter(|face| inside[face.fix().index()].is_none()) else {
             continue;
         };
-        let odd = passes
-            .get(&edge.fix().as_undirected())
-            .is_some_and(|n| n % 2 == 1);
+        let odd = passes.get(&edge.fix().as_undirected()).is_some_and(|n| n % 2 == 1);
         inside[inner.fix().index()] = Some(here != odd);
         stack.extend(inner.adjacent_edges());
     }

@@ -24,20 +24,13 @@ pub struct RenderMesh {
 impl RenderMesh {
     /// The triangles alone.
     pub(super) fn into_surface(self) -> Surface {
-        Surface {
-            vertices: self.vertices,
-            triangles: self.triangles,
-        }
+        Surface { vertices: self.vertices, triangles: self.triangles }
     }
 }
 
 impl From<Surface> for RenderMesh {
     fn from(surface: Surface) -> RenderMesh {
-        RenderMesh {
-            vertices: surface.vertices,
-            triangles: surface.triangles,
-            ..RenderMesh::default()
-        }
+        RenderMesh { vertices: surface.vertices, triangles: surface.triangles, ..RenderMesh::default() }
     }
 }
 
@@ -46,16 +39,10 @@ pub fn read_render_mesh(file: &Path) -> Result<RenderMesh, Error> {
     let mesh = mesh_file::parse_render_mesh(&mesh_file::load(file)?, file)?;
     let fault = |problem: String, cure| Err(Problem::new(problem, cure).in_file(file));
     if mesh.triangles.is_empty() {
-        return fault(
-            "no triangles".to_owned(),
-            "give a mesh of triangles or polygons",
-        );
+        return fault("no triangles".to_owned(), "give a mesh of triangles or polygons");
     }
     if let Some(at) = mesh.vertices.iter().position(|x| !x.is_finite()) {
-        return fault(
-            format!("vertex {} is not finite", at + 1),
-            "repair the coordinates in a mesh tool",
-        );
+        return fault(format!("vertex {} is not finite", at + 1), "repair the coordinates in a mesh tool");
     }
     Ok(mesh)
 }

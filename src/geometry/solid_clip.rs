@@ -54,10 +54,7 @@ impl MovedMesh<'_> {
             body.triangles.push([first, first + 1, first + 2]);
         }
         let closed = |body: &Surface| {
-            let Surface {
-                vertices,
-                triangles,
-            } = body.welded();
+            let Surface { vertices, triangles } = body.welded();
             ClosedMesh::new(vertices, triangles)
         };
         bodies.iter().map(closed).collect()
@@ -114,10 +111,7 @@ impl Overlap {
         let lattice = centres(grid);
         let inside = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
         let cells = inside.chunk_by(|a, b| a.0 == b.0);
-        let shared: Vec<usize> = cells
-            .filter(|bodies| bodies.len() > 1)
-            .map(|bodies| bodies[0].0)
-            .collect();
+        let shared: Vec<usize> = cells.filter(|bodies| bodies.len() > 1).map(|bodies| bodies[0].0).collect();
         let mut overlap = Overlap::default();
         if shared.is_empty() {
             return overlap;
@@ -143,11 +137,7 @@ impl Overlap {
 }
 
 fn centres(grid: &Grid) -> Lattice {
-    Lattice {
-        n: grid.cells,
-        offset: 0.5,
-        dx: grid.dx,
-    }
+    Lattice { n: grid.cells, offset: 0.5, dx: grid.dx }
 }
 
 /// The cut cells of a scene with solids.
@@ -180,11 +170,7 @@ impl SolidClip {
     /// Starts with the obstacles alone.
     pub fn new(grid: &Grid, obstacles: ObstacleCut, settings: &Solver) -> SolidClip {
         let corners = || {
-            let lattice = Lattice {
-                n: grid.cells.map(|n| n + 1),
-                offset: 0.0,
-                dx: grid.dx,
-            };
+            let lattice = Lattice { n: grid.cells.map(|n| n + 1), offset: 0.0, dx: grid.dx };
             NearestTriangles::new(lattice, CORNER_BAND * grid.dx)
         };
         SolidClip {
@@ -274,10 +260,7 @@ impl SolidClip {
 
     /// Patches with J, and corners of the triangles.
     fn patches_and_corners(&self, mesh: &MovedMesh) -> (Clipping, (Coupling, Vec<[DVec3; 3]>)) {
-        let surface = Surface {
-            vertices: mesh.nodes.clone(),
-            triangles: mesh.triangles.to_vec(),
-        };
+        let surface = Surface { vertices: mesh.nodes.clone(), triangles: mesh.triangles.to_vec() };
         let clipping = clip(&surface, &self.grid);
         let coupling = Coupling::new(&clipping.patches, mesh.triangles, mesh.nodes.len());
         let triangles = 0..surface.triangles.len();
@@ -308,14 +291,8 @@ impl SolidClip {
         let near_cells = near.near.par_iter().map(|&cell| {
             let distance = signed(cell);
             // A nearer obstacle takes precedence.
-            let nearest = (distance < left[cell])
-                .then(|| near.nearest(cell, |triangle| corners[triangle]))
-                .flatten();
-            let nearest = nearest.map(|(triangle, weights)| Nearest {
-                cell,
-                triangle,
-                weights,
-            });
+            let nearest = (distance < left[cell]).then(|| near.nearest(cell, |triangle| corners[triangle])).flatten();
+            let nearest = nearest.map(|(triangle, weights)| Nearest { cell, triangle, weights });
             ((cell, distance), nearest)
         });
         let (distances, band): (Vec<(usize, f64)>, Vec<Option<Nearest>>) = near_cells.unzip();
@@ -388,9 +365,7 @@ impl SolidClip {
 
     /// The nearest surface point for a cell of the band.
     pub fn nearest(&self, cell: usize) -> Option<&Nearest> {
-        let at = self
-            .band
-            .binary_search_by_key(&cell, |nearest| nearest.cell);
+        let at = self.band.binary_search_by_key(&cell, |nearest| nearest.cell);
         at.ok().map(|at| &self.band[at])
     }
 
@@ -469,14 +444,12 @@ fn nodal_areas(grid: &Grid, near: &NearestTriangles, mesh: &MovedMesh) -> [Vec<(
         let n = grid.faces(axis);
         let around = |&corner: &usize| {
             let ijk = [corner % nx, corner / nx % ny, corner / (nx * ny)];
-            [[0, 0], [1, 0], [0, 1], [1, 1]]
-                .into_iter()
-                .filter_map(move |back| {
-                    let mut face = ijk;
-                    face[b] = ijk[b].checked_sub(back[0])?;
-                    face[c] = ijk[c].checked_sub(back[1])?;
-                    (face[b] < n[b] && face[c] < n[c]).then(|| grid.face(axis, face))
-                })
+            [[0, 0], [1, 0], [0, 1], [1, 1]].into_iter().filter_map(move |back| {
+                let mut face = ijk;
+                face[b] = ijk[b].checked_sub(back[0])?;
+                face[c] = ijk[c].checked_sub(back[1])?;
+                (face[b] < n[b] && face[c] < n[c]).then(|| grid.face(axis, face))
+            })
         };
         let mut faces: Vec<usize> = inside.iter().flat_map(around).collect();
         faces.sort_unstable();
@@ -485,10 +458,7 @@ fn nodal_areas(grid: &Grid, near: &NearestTriangles, mesh: &MovedMesh) -> [Vec<(
             let [i, j, k] = grid.face_at(axis, face);
             let first = i + nx * (j + ny * k);
             let corners = [0, strides[b], strides[b] + strides[c], strides[c]];
-            (
-                face,
-                -negative_part(corners.map(|step| signed(first + step))),
-            )
+            (face, -negative_part(corners.map(|step| signed(first + step))))
         });
         area.collect()
     })
@@ -500,8 +470,7 @@ fn negative_part(corners: [f64; 4]) -> f64 {
     // Fraction of a side, from one end, with the sign of that end.
     let reach = |from: usize, to: usize| corners[from] / (corners[from] - corners[to]);
     // Triangle at a corner whose neighbours have the other sign.
-    let tip =
-        |corner: usize| 0.5 * reach(corner, (corner + 1) % 4) * reach(corner, (corner + 3) % 4);
+    let tip = |corner: usize| 0.5 * reach(corner, (corner + 1) % 4) * reach(corner, (corner + 3) % 4);
     let alone = |sign: bool| (0..4).filter(move |&corner| negative[corner] == sign);
     match negative.into_iter().filter(|&negative| negative).count() {
         0 => 0.0,

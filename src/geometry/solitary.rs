@@ -25,15 +25,9 @@ impl Local {
     fn new(wave: &SolitaryWave, x: DVec3) -> Local {
         let e = wave.height / wave.depth;
         let k = (0.75 * e).sqrt() * (1.0 - 0.625 * e + 71.0 / 128.0 * e * e);
-        let along =
-            (x.x - wave.crest[0]) * wave.direction[0] + (x.z - wave.crest[1]) * wave.direction[1];
+        let along = (x.x - wave.crest[0]) * wave.direction[0] + (x.z - wave.crest[1]) * wave.direction[1];
         let t = (k * along / wave.depth).tanh();
-        Local {
-            e,
-            k,
-            a: 1.0 - t * t,
-            t,
-        }
+        Local { e, k, a: 1.0 - t * t, t }
     }
 }
 
@@ -41,10 +35,9 @@ impl Local {
 /// first order near the surface and has the correct sign everywhere.
 pub(super) fn distance(wave: &SolitaryWave, x: DVec3) -> f64 {
     let Local { e, k, a, t } = Local::new(wave, x);
-    let above =
-        e * a - 0.75 * e * e * a * (1.0 - a) + e.powi(3) * a * (1.0 - a) * (0.625 - 1.2625 * a);
-    let by_a = e - 0.75 * e * e * (1.0 - 2.0 * a)
-        + e.powi(3) * (0.625 * (1.0 - 2.0 * a) - 1.2625 * a * (2.0 - 3.0 * a));
+    let above = e * a - 0.75 * e * e * a * (1.0 - a) + e.powi(3) * a * (1.0 - a) * (0.625 - 1.2625 * a);
+    let by_a =
+        e - 0.75 * e * e * (1.0 - 2.0 * a) + e.powi(3) * (0.625 * (1.0 - 2.0 * a) - 1.2625 * a * (2.0 - 3.0 * a));
     let slope = -2.0 * k * a * t * by_a;
     (x.y - wave.depth * (1.0 + above)) / 1.0_f64.hypot(slope)
 }

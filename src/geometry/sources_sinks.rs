@@ -86,9 +86,7 @@ impl SourceFace {
     fn flux(&self, area: f64, running: u32) -> f64 {
         let inner = self.sides.iter().all(|&side| runs(side, running));
         match self.prescribed(running) {
-            Some(prescribed) if !inner => {
-                area.min(prescribed.aperture * self.whole) * prescribed.velocity.abs()
-            }
+            Some(prescribed) if !inner => area.min(prescribed.aperture * self.whole) * prescribed.velocity.abs(),
             _ => 0.0,
         }
     }
@@ -218,14 +216,9 @@ impl SourcesAndSinks {
         sink_cells.sort_unstable();
         sink_cells.dedup();
         let owners = owner.iter().enumerate();
-        let source_cells: Vec<(usize, u32)> = owners
-            .filter(|(_, owner)| **owner != NONE)
-            .map(|(cell, &owner)| (cell, owner))
-            .collect();
-        let eighths = source_cells
-            .iter()
-            .map(|&(cell, _)| eighths[cell])
-            .collect();
+        let source_cells: Vec<(usize, u32)> =
+            owners.filter(|(_, owner)| **owner != NONE).map(|(cell, &owner)| (cell, owner)).collect();
+        let eighths = source_cells.iter().map(|&(cell, _)| eighths[cell]).collect();
         let face = |axis: Axis, face: usize| {
             let a = axis.index();
             let cells = grid.face_sides(axis, grid.face_at(axis, face));
@@ -243,39 +236,21 @@ impl SourcesAndSinks {
                 _ => 0.0,
             });
             let whole = grid.dx * grid.dx;
-            SourceFace {
-                axis,
-                face,
-                sides,
-                velocity,
-                aperture,
-                area: whole * cut.open[a][face],
-                whole,
-            }
+            SourceFace { axis, face, sides, velocity, aperture, area: whole * cut.open[a][face], whole }
         };
         let faces = Axis::ALL.into_iter().flat_map(|axis| {
             let faces = faces_of_cells(grid, axis, &source_cells).into_iter();
             faces.map(move |number| (axis, number))
         });
         let faces = faces.map(|(axis, number)| face(axis, number)).collect();
-        let sources = scene
-            .sources
-            .iter()
-            .zip(&outlets)
-            .map(|(source, outlet)| SourceState {
-                velocity: source.velocity,
-                start: source.start,
-                end: source.end,
-                depth: outlet.depth,
-                unobstructed: outlet.area * source.velocity.length(),
-            });
-        let mut all = SourcesAndSinks {
-            sources: sources.collect(),
-            source_cells,
-            eighths,
-            faces,
-            sink_cells,
-        };
+        let sources = scene.sources.iter().zip(&outlets).map(|(source, outlet)| SourceState {
+            velocity: source.velocity,
+            start: source.start,
+            end: source.end,
+            depth: outlet.depth,
+            unobstructed: outlet.area * source.velocity.length(),
+        });
+        let mut all = SourcesAndSinks { sources: sources.collect(), source_cells, eighths, faces, sink_cells };
         for (number, source) in scene.sources.iter().enumerate() {
             if let Some(flow_rate) = source.flow_rate {
                 all.set_flow_rate(number, flow_rate, &scene.at(&format!("source[{number}]")))?;
@@ -310,23 +285,19 @@ impl SourcesAndSinks {
 
     /// Flow of each source.
     pub fn flows(&self) -> impl Iterator<Item = SourceFlow> {
-        self.sources
-            .iter()
-            .enumerate()
-            .map(|(number, source)| SourceFlow {
-                velocity: source.velocity,
-                flow_rate: self.flux(1 << number),
-                unobstructed: source.unobstructed,
-                start: source.start,
-                end: source.end,
-            })
+        self.sources.iter().enumerate().map(|(number, source)| SourceFlow {
+            velocity: source.velocity,
+            flow_rate: self.flux(1 << number),
+            unobstructed: source.unobstructed,
+            start: source.start,
+            end: source.end,
+        })
     }
 
     /// Activity in the sub-step after a state; `seed` is that of the scene's markers.
     pub fn running(&self, state: &State, seed: u64) -> Running {
         let sources = self.sources.iter().enumerate();
-        let runs =
-            sources.filter(|(_, source)| source.start <= state.time && state.time < source.end);
+        let runs = sources.filter(|(_, source)| source.start <= state.time && state.time < source.end);
         let running = runs.fold(0, |set, (number, _)| set | 1 << number);
         // Folds 64 bits into 32.
         let fold = |x: u64| (x ^ (x >> 32)) as u32;
@@ -345,9 +316,7 @@ impl SourcesAndSinks {
         let cell = |at: [i64; 3]| grid.cell(at.map(|n| n as usize));
         let found = inside.then(|| self.source_cells.binary_search(&(cell(at), source)));
         found.and_then(Result::ok).is_some_and(|found| {
-            let bit: usize = (0..3)
-                .map(|a| (octant[a].rem_euclid(2) as usize) << a)
-                .sum();
+            let bit: usize = (0..3).map(|a| (octant[a].rem_euclid(2) as usize) << a).sum();
             self.eighths[found] >> bit & 1 == 1
         })
     }
@@ -358,9 +327,7 @@ impl SourcesAndSinks {
             // Counted from the start, so that one sub-step ends where the next begins.
             let units = |time: f64| {
                 let octants = (time - source.start) * source.velocity / (0.5 * grid.dx);
-                (octants * OCTANT_UNITS as f64)
-                    .to_array()
-                    .map(|x| x.round() as i64)
+                (octants * OCTANT_UNITS as f64).to_array().map(|x| x.round() as i64)
             };
             let (before, after) = (units(time), units(time + dt));
             Lattice {
@@ -404,13 +371,7 @@ impl SourcesAndSinks {
         let mut fills = Vec::new();
         for (index, (&(cell, source), eighths)) in cells {
             let full = f64::from(eighths.count_ones()) / 8.0;
-            fills.push(Fill {
-                cell,
-                source,
-                level: 0.5 - full,
-                index: Some(index),
-                side: false,
-            });
+            fills.push(Fill { cell, source, level: 0.5 - full, index: Some(index), side: false });
             if full < 0.5 {
                 continue;
             }
@@ -425,13 +386,7 @@ impl SourcesAndSinks {
                 let out = DVec3::from(grid.cell_at(other).map(|n| n as f64)) - at;
                 out.length_squared() == 1.0 && velocity.dot(out) <= 0.0
             };
-            fills.extend(beside.map(|(cell, level)| Fill {
-                cell,
-                source,
-                level,
-                index: None,
-                side: side(cell),
-            }));
+            fills.extend(beside.map(|(cell, level)| Fill { cell, source, level, index: None, side: side(cell) }));
         }
         fills.sort_by(|a, b| {
             let key = |fill: &Fill| (fill.cell, fill.source);
@@ -444,16 +399,9 @@ impl SourcesAndSinks {
 
     /// Prescribed boundary flux out of the cells beside a set of sources, m^3/s; negative, an inflow. `open`: apertures
     /// with moving bodies.
-    pub fn boundary_flux(
-        &self,
-        grid: &Grid,
-        open: Option<&[Vec<f64>; 3]>,
-        running: u32,
-    ) -> Vec<(usize, f64)> {
+    pub fn boundary_flux(&self, grid: &Grid, open: Option<&[Vec<f64>; 3]>, running: u32) -> Vec<(usize, f64)> {
         let faces = self.faces.iter().filter_map(|face| {
-            let area = open.map_or(face.area, |open| {
-                grid.dx * grid.dx * open[face.axis.index()][face.face]
-            });
+            let area = open.map_or(face.area, |open| grid.dx * grid.dx * open[face.axis.index()][face.face]);
             let flux = face.flux(area, running);
             let outer = face.sides.iter().position(|&side| !runs(side, running))?;
             let cell = grid.face_sides(face.axis, grid.face_at(face.axis, face.face))[outer]?;
@@ -468,9 +416,7 @@ impl SourcesAndSinks {
     /// liquid has gaps.
     pub fn speed(&self, time: f64, cfl: f64) -> f64 {
         let sources = self.sources.iter().filter(|source| time < source.end);
-        sources
-            .map(|source| source.velocity.abs().max_element() * (cfl / source.depth).max(1.0))
-            .fold(0.0, f64::max)
+        sources.map(|source| source.velocity.abs().max_element() * (cfl / source.depth).max(1.0)).fold(0.0, f64::max)
     }
 
     /// Upper bound of the markers emitted up to a time (s): the initial filling, the slots of a sub-step and 1.25 times the flux.
@@ -481,18 +427,13 @@ impl SourcesAndSinks {
         });
         let flowed = 1.25 * flux.sum::<f64>() / grid.cell_volume();
         let slots = if level { MOST_SITES } else { MARKERS_PER_CELL };
-        (MARKERS_PER_CELL + slots) * self.source_cells.len()
-            + MARKERS_PER_CELL * flowed.ceil() as usize
+        (MARKERS_PER_CELL + slots) * self.source_cells.len() + MARKERS_PER_CELL * flowed.ceil() as usize
     }
 
     /// Apertures for the pressure: faces with a prescribed velocity are closed.
     pub fn pressure_apertures(&self, open: &[Vec<f64>; 3], running: u32) -> [Vec<f64>; 3] {
         let mut open = open.clone();
-        for face in self
-            .faces
-            .iter()
-            .filter(|face| face.prescribed(running).is_some())
-        {
+        for face in self.faces.iter().filter(|face| face.prescribed(running).is_some()) {
             open[face.axis.index()][face.face] = 0.0;
         }
         open
@@ -514,8 +455,7 @@ impl SourcesAndSinks {
 /// The 26 cells around a cell, and the distances of their centres from its surface, cells.
 fn around(grid: &Grid, cell: usize) -> impl Iterator<Item = (usize, f64)> + use<'_> {
     let ijk = grid.cell_at(cell);
-    let ranges: [_; 3] =
-        std::array::from_fn(|b| ijk[b].saturating_sub(1)..(ijk[b] + 2).min(grid.cells[b]));
+    let ranges: [_; 3] = std::array::from_fn(|b| ijk[b].saturating_sub(1)..(ijk[b] + 2).min(grid.cells[b]));
     let [is, js, ks] = ranges;
     let rows = ks.flat_map(move |k| js.clone().map(move |j| (j, k)));
     let all = rows.flat_map(move |(j, k)| is.clone().map(move |i| [i, j, k]));
@@ -551,10 +491,7 @@ fn met_cells(grid: &Grid, shape: &Shape) -> Result<Vec<Met>, Error> {
         }
         (shares != [0.0; 8]).then_some((cell, shares))
     };
-    Ok((0..grid.n_cells())
-        .into_par_iter()
-        .filter_map(shares)
-        .collect())
+    Ok((0..grid.n_cells()).into_par_iter().filter_map(shares).collect())
 }
 
 /// Whether obstacles leave a face of a cell open.
@@ -564,9 +501,7 @@ fn opens(grid: &Grid, cut: &CutCells, cell: usize) -> bool {
         let mut plus = minus;
         plus[axis.index()] += 1;
         let open = &cut.open[axis.index()];
-        [minus, plus]
-            .into_iter()
-            .any(|at| open[grid.face(axis, at)] > 0.0)
+        [minus, plus].into_iter().any(|at| open[grid.face(axis, at)] > 0.0)
     })
 }
 
@@ -593,17 +528,9 @@ fn full_eighths(cut: &CutCells, cells: &[Met]) -> Vec<u8> {
 }
 
 /// Refuses a source that walls cover, or that is too thin for markers.
-fn ensure_thick(
-    scene: &Scene,
-    grid: &Grid,
-    cut: &CutCells,
-    own: &[Met],
-    number: usize,
-) -> Result<(), Error> {
+fn ensure_thick(scene: &Scene, grid: &Grid, cut: &CutCells, own: &[Met], number: usize) -> Result<(), Error> {
     let source = &scene.sources[number];
-    let free = own
-        .iter()
-        .filter(|(cell, _)| cut.solid_distance[*cell] >= 0.0);
+    let free = own.iter().filter(|(cell, _)| cut.solid_distance[*cell] >= 0.0);
     let volume: f64 = free.flat_map(|(_, shares)| shares).sum::<f64>() / 8.0;
     let area = source.shape.projected_area(source.velocity.normalize()) / grid.dx.powi(2);
     if volume >= MIN_THICKNESS * area.min(1.0) && volume > 0.0 {
@@ -611,10 +538,7 @@ fn ensure_thick(
     }
     Err(Error::input(
         scene.at(&format!("source[{number}]")),
-        format!(
-            "outside obstacles it has less than half a cell of {} m",
-            rounded(grid.dx)
-        ),
+        format!("outside obstacles it has less than half a cell of {} m", rounded(grid.dx)),
         "make it at least a cell thick, use more cells (domain.cells, --scale), or move it out of obstacles",
     ))
 }
@@ -677,9 +601,7 @@ impl<'a> Outlet<'a> {
             let rest = outlet.area / grid.dx.powi(2) - whole;
             // Fractions that reach 1 remain there.
             for _ in 0..SCALINGS {
-                let scaled = parts
-                    .iter()
-                    .map(|(share, part)| (outlet.scale * share, part));
+                let scaled = parts.iter().map(|(share, part)| (outlet.scale * share, part));
                 let (full, some): (Vec<_>, Vec<_>) = scaled.partition(|(share, _)| *share >= 1.0);
                 let full: f64 = full.iter().map(|(_, part)| *part).sum();
                 let sum: f64 = some.iter().map(|(share, part)| share * *part).sum();
@@ -700,15 +622,10 @@ impl<'a> Outlet<'a> {
             x[b] += (0.5 + (ray % RAYS) as f64) / RAYS as f64;
             x[c] += (0.5 + (ray / RAYS) as f64) / RAYS as f64;
             let x = grid.dx * DVec3::from(x);
-            let domain = Shape::Box {
-                min: DVec3::ZERO,
-                max: self.size,
-            };
+            let domain = Shape::Box { min: DVec3::ZERO, max: self.size };
             let chords = [self.shape, &domain].map(|shape| chord(shape, x, self.back));
             match chords {
-                [Some([from, to]), Some([enters, leaves])] => {
-                    from.max(enters).max(0.0) < to.min(leaves)
-                }
+                [Some([from, to]), Some([enters, leaves])] => from.max(enters).max(0.0) < to.min(leaves),
                 _ => false,
             }
         };
@@ -756,18 +673,11 @@ fn chord(shape: &Shape, x: DVec3, direction: DVec3) -> Option<[f64; 2]> {
         (from < to).then_some([from, to])
     };
     match *shape {
-        Shape::Box { min, max } => [0, 1, 2]
-            .map(|a| between(x[a], direction[a], [min[a], max[a]]))
-            .into_iter()
-            .reduce(intersection)
-            .flatten(),
+        Shape::Box { min, max } => {
+            [0, 1, 2].map(|a| between(x[a], direction[a], [min[a], max[a]])).into_iter().reduce(intersection).flatten()
+        }
         Shape::Sphere { centre, radius } => round(x - centre, direction, radius),
-        Shape::Cylinder {
-            base,
-            axis,
-            radius,
-            height,
-        } => {
+        Shape::Cylinder { base, axis, radius, height } => {
             let [over, along] = [(x - base).dot(axis), direction.dot(axis)];
             let flat = between(over, along, [0.0, height]);
             let across = round(x - base - over * axis, direction - along * axis, radius);
@@ -792,12 +702,7 @@ fn faces_of_cells(grid: &Grid, axis: Axis, cells: &[(usize, u32)]) -> Vec<usize>
 }
 
 /// Cells with a centre in a sink and in no obstacle.
-fn cells_of_sink(
-    scene: &Scene,
-    grid: &Grid,
-    cut: &CutCells,
-    number: usize,
-) -> Result<Vec<usize>, Error> {
+fn cells_of_sink(scene: &Scene, grid: &Grid, cut: &CutCells, number: usize) -> Result<Vec<usize>, Error> {
     let solid = Solid::new(&scene.sinks[number].shape)?;
     let inside = |&cell: &usize| {
         let free = cut.solid_distance[cell] >= 0.0;
@@ -807,10 +712,7 @@ fn cells_of_sink(
     if cells.is_empty() {
         return Err(Error::input(
             scene.at(&format!("sink[{number}]")),
-            format!(
-                "no cell of {} m outside obstacles has its centre in it",
-                rounded(grid.dx)
-            ),
+            format!("no cell of {} m outside obstacles has its centre in it", rounded(grid.dx)),
             "make it at least a cell thick, use more cells (domain.cells, --scale), or move it out of obstacles",
         ));
     }

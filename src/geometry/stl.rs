@@ -19,17 +19,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
         return binary_solids(bytes);
     }
     let text = without_mark(bytes)?;
-    let begins_as_text = words(text.trim_ascii_start())
-        .next()
-        .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+    let begins_as_text = words(text.trim_ascii_start()).next().is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     // Free headers of binary files may begin with `solid`, but a text contains no zeros.
     match bytes.contains(&0) {
         true => binary_solids(bytes),
         false if begins_as_text => text_solids(text),
-        false => Err(Problem::new(
-            "not an STL file: neither binary nor a text that begins with `solid`",
-            CURE,
-        )),
+        false => Err(Problem::new("not an STL file: neither binary nor a text that begins with `solid`", CURE)),
     }
 }
 
@@ -69,9 +64,7 @@ fn binary_solids(bytes: &[u8]) -> Result<Surface, Problem> {
             let (numbers, _) = facet[12..48].as_chunks::<4>();
             let (corners, _) = numbers.as_chunks::<3>();
             let first = surface.vertices.len() as u32;
-            let vertices = corners
-                .iter()
-                .map(|corner| Vec3::from_array(corner.map(f32::from_le_bytes)).as_dvec3());
+            let vertices = corners.iter().map(|corner| Vec3::from_array(corner.map(f32::from_le_bytes)).as_dvec3());
             surface.vertices.extend(vertices);
             surface.triangles.push([first, first + 1, first + 2]);
         }
@@ -118,8 +111,7 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
     for here in lines(bytes) {
         let mut rest = words(here.1);
         while let Some(word) = rest.next() {
-            let problem =
-                |problem: &str| Problem::at_line(here, format!("facet {facet}: {problem}"), CURE);
+            let problem = |problem: &str| Problem::at_line(here, format!("facet {facet}: {problem}"), CURE);
             let before = next;
             next = match (before, word.to_ascii_lowercase().as_slice()) {
                 (Next::Solid, b"solid") => skip_name(&mut rest, Next::Facet),
@@ -136,27 +128,18 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
                 }
                 (Next::Vertex, b"vertex") => Next::Coordinate,
                 (Next::Vertex, b"endloop") => {
-                    polygon(&coordinates, &mut surface)
-                        .map_err(|why| problem(&format!("it {why}")))?;
+                    polygon(&coordinates, &mut surface).map_err(|why| problem(&format!("it {why}")))?;
                     Next::EndFacet
                 }
                 (Next::Coordinate, _) => {
                     // Single precision, as in binary files.
                     let x: f32 = number(word).map_err(|word| problem(&word))?;
                     coordinates.push(f64::from(x));
-                    if coordinates.len().is_multiple_of(3) {
-                        Next::Vertex
-                    } else {
-                        Next::Coordinate
-                    }
+                    if coordinates.len().is_multiple_of(3) { Next::Vertex } else { Next::Coordinate }
                 }
                 (Next::EndFacet, b"endfacet") => Next::Facet,
                 (expected, _) => {
-                    let problem = format!(
-                        "facet {facet}: {} where {} belongs",
-                        quoted(word),
-                        expected.words()
-                    );
+                    let problem = format!("facet {facet}: {} where {} belongs", quoted(word), expected.words());
                     return Err(Problem::at_line(here, problem, CURE));
                 }
             };
@@ -168,10 +151,7 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
             Next::Facet => "behind",
             _ => "in",
         };
-        let problem = format!(
-            "the file ends {place} facet {facet}, where {} belongs",
-            next.words()
-        );
+        let problem = format!("the file ends {place} facet {facet}, where {} belongs", next.words());
         return Err(Problem::new(problem, CURE));
     }
     Ok(surface)
@@ -180,10 +160,7 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
 /// Skips a name, which ends at the end of the line or at a facet.
 fn skip_name<'a>(rest: &mut (impl Iterator<Item = &'a [u8]> + Clone), behind: Next) -> Next {
     while let Some(word) = rest.next() {
-        let begins = rest
-            .clone()
-            .next()
-            .is_some_and(|word| word.eq_ignore_ascii_case(b"normal"));
+        let begins = rest.clone().next().is_some_and(|word| word.eq_ignore_ascii_case(b"normal"));
         if begins && word.eq_ignore_ascii_case(b"facet") {
             return Next::Outer;
         }
@@ -196,15 +173,11 @@ fn polygon(coordinates: &[f64], surface: &mut Surface) -> Result<(), &'static st
     let (corners, _) = coordinates.as_chunks::<3>();
     let first = surface.vertices.len() as u32;
     let numbers: Vec<u32> = (first..).take(corners.len()).collect();
-    surface
-        .vertices
-        .extend(corners.iter().map(|&x| DVec3::from_array(x)));
+    surface.vertices.extend(corners.iter().map(|&x| DVec3::from_array(x)));
     if let [a, b, c] = *numbers {
         surface.triangles.push([a, b, c]);
         return Ok(());
     }
-    surface
-        .triangles
-        .extend(triangulate(&surface.vertices, &numbers)?);
+    surface.triangles.extend(triangulate(&surface.vertices, &numbers)?);
     Ok(())
 }

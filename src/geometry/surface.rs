@@ -48,22 +48,9 @@ impl Surface {
                 )
             })
             .collect();
-        let quads: [[u32; 4]; 6] = [
-            [0, 4, 6, 2],
-            [1, 3, 7, 5],
-            [0, 1, 5, 4],
-            [2, 6, 7, 3],
-            [0, 2, 3, 1],
-            [4, 5, 7, 6],
-        ];
-        let triangles = quads
-            .iter()
-            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
-            .collect();
-        Surface {
-            vertices,
-            triangles,
-        }
+        let quads: [[u32; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Surface { vertices, triangles }
     }
 
     /// A sphere as a subdivided icosahedron of the same volume, within 1e-3 dx of the sphere.
@@ -93,17 +80,9 @@ impl Surface {
             let rim = base + radius * (cos * u + sin * v);
             vertices.extend([rim, rim + axis * height]);
             let (low, next) = (2 + 2 * i as u32, 2 + 2 * ((i + 1) % n) as u32);
-            triangles.extend([
-                [0, next, low],
-                [1, low + 1, next + 1],
-                [low, next, next + 1],
-                [low, next + 1, low + 1],
-            ]);
+            triangles.extend([[0, next, low], [1, low + 1, next + 1], [low, next, next + 1], [low, next + 1, low + 1]]);
         }
-        Surface {
-            vertices,
-            triangles,
-        }
+        Surface { vertices, triangles }
     }
 
     /// The surface with every vertex moved by `map`.
@@ -176,12 +155,10 @@ impl Surface {
             surface.triangles.push(triangle.map(|vertex| {
                 let x = self.vertices[vertex as usize];
                 // Adding zero unites the two zeros.
-                *numbers
-                    .entry(x.to_array().map(|c| (c + 0.0).to_bits()))
-                    .or_insert_with(|| {
-                        surface.vertices.push(x);
-                        (surface.vertices.len() - 1) as u32
-                    })
+                *numbers.entry(x.to_array().map(|c| (c + 0.0).to_bits())).or_insert_with(|| {
+                    surface.vertices.push(x);
+                    (surface.vertices.len() - 1) as u32
+                })
             }));
         }
         surface
@@ -194,10 +171,7 @@ impl Surface {
     pub fn fault(&self) -> Option<Fault> {
         let fault = |problem, cure| Some(Fault { problem, cure });
         if self.triangles.is_empty() {
-            return fault(
-                "no triangles".to_owned(),
-                "give a closed surface of triangles or polygons",
-            );
+            return fault("no triangles".to_owned(), "give a closed surface of triangles or polygons");
         }
         for number in 0..self.triangles.len() {
             if let Some(fault) = self.triangle_fault(number) {
@@ -220,9 +194,7 @@ impl Surface {
                 "flip the normals in a mesh tool; for a container set inside_out = true and keep normals outwards",
             );
         }
-        crossing::fold(self, &users)
-            .or_else(|| parts::fault(self, &users))
-            .or_else(|| crossing::crossing(self))
+        crossing::fold(self, &users).or_else(|| parts::fault(self, &users)).or_else(|| crossing::crossing(self))
     }
 
     /// Refuses a nonfinite or degenerate triangle.
@@ -237,16 +209,10 @@ impl Surface {
         }
         // Twice the area is the longest edge times the height, which below this limit is rounding.
         let [a, b, c] = corners;
-        let longest = [b - a, c - b, a - c]
-            .map(|edge| edge.length_squared())
-            .into_iter()
-            .fold(0.0, f64::max);
+        let longest = [b - a, c - b, a - c].map(|edge| edge.length_squared()).into_iter().fold(0.0, f64::max);
         if self.area_vector(number).length() <= 1e-14 * longest {
             return fault(
-                format!(
-                    "triangle {} with the corners {a}, {b}, {c} has no area",
-                    number + 1
-                ),
+                format!("triangle {} with the corners {a}, {b}, {c} has no area", number + 1),
                 "remove degenerate triangles and merge vertices by distance in a mesh tool",
             );
         }
@@ -276,11 +242,7 @@ impl Surface {
                     );
                 }
                 return fault(
-                    format!(
-                        "{numbers} use the edge from {} to {} in the same direction",
-                        at(from),
-                        at(to)
-                    ),
+                    format!("{numbers} use the edge from {} to {} in the same direction", at(from), at(to)),
                     "make the normals consistent, and separate parts that share an edge, in a mesh tool",
                 );
             }

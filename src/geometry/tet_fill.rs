@@ -85,11 +85,8 @@ struct Boundary {
 impl Boundary {
     fn new(surface: &Surface, cell_size: f64) -> Boundary {
         let [low, high] = surface.bounds();
-        let triangles = TriMesh::with_flags(
-            surface.vertices.clone(),
-            surface.triangles.clone(),
-            TriMeshFlags::ORIENTED,
-        );
+        let triangles =
+            TriMesh::with_flags(surface.vertices.clone(), surface.triangles.clone(), TriMeshFlags::ORIENTED);
         Boundary {
             triangles: triangles.expect("a surface without fault has triangles"),
             cell_size,
@@ -100,9 +97,7 @@ impl Boundary {
 
     /// The nearest point of the surface, and whether `x` lies inside.
     fn nearest(&self, x: DVec3) -> (DVec3, bool) {
-        let (nearest, _) = self
-            .triangles
-            .project_local_point_and_get_location(x, false);
+        let (nearest, _) = self.triangles.project_local_point_and_get_location(x, false);
         (nearest.point, nearest.is_inside)
     }
 
@@ -116,17 +111,11 @@ impl Boundary {
             cover_guard: GUARD,
             ..VolumeMeshParameters::new(self.cell_size)
         };
-        let turned = surface
-            .clone()
-            .map(|x| rotation * (x - self.centre) + self.centre);
+        let turned = surface.clone().map(|x| rotation * (x - self.centre) + self.centre);
         let cover = volume_mesh(&turned.vertices, &turned.triangles, &parameters)?;
         let back = rotation.transpose();
         let mesh = TetMesh {
-            nodes: cover
-                .vertices
-                .into_iter()
-                .map(|x| back * (x - self.centre) + self.centre)
-                .collect(),
+            nodes: cover.vertices.into_iter().map(|x| back * (x - self.centre) + self.centre).collect(),
             elements: cover.cells,
         };
         let rounding = 1e-9 * self.extent;
@@ -135,12 +124,7 @@ impl Boundary {
             let x = mesh.nodes[node as usize];
             let (nearest, inside) = self.nearest(x);
             let distance = x.distance(nearest);
-            distance
-                <= if inside {
-                    rounding
-                } else {
-                    COVER * self.cell_size
-                }
+            distance <= if inside { rounding } else { COVER * self.cell_size }
         });
         covers.then_some(mesh)
     }
@@ -174,11 +158,7 @@ impl Boundary {
                     let others = if is_outer { &outer[node] } else { &all[node] };
                     let sum: DVec3 = others.iter().map(|&other| mesh.nodes[other as usize]).sum();
                     let half_way = 0.5 * (mesh.nodes[node] + sum / others.len() as f64);
-                    let to = if is_outer {
-                        self.nearest(half_way).0
-                    } else {
-                        half_way
-                    };
+                    let to = if is_outer { self.nearest(half_way).0 } else { half_way };
                     step(mesh, node, to, |mesh| worst(mesh, node) > now);
                 }
             }

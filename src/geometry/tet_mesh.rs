@@ -96,19 +96,11 @@ impl TetMesh {
         let error = |fault: Fault| Error::input(what, fault.problem, fault.cure);
         let mut mesh = match solid.mesh {
             SolidMesh::Box { size, cells } => tet_shapes::cuboid(size, cells).map_err(error)?,
-            SolidMesh::Sphere { radius, cell_size } => {
-                tet_shapes::ball(radius, cell_size).map_err(error)?
+            SolidMesh::Sphere { radius, cell_size } => tet_shapes::ball(radius, cell_size).map_err(error)?,
+            SolidMesh::Shell { radius, thickness, cell_size } => {
+                tet_shapes::shell(radius, thickness, cell_size).map_err(error)?
             }
-            SolidMesh::Shell {
-                radius,
-                thickness,
-                cell_size,
-            } => tet_shapes::shell(radius, thickness, cell_size).map_err(error)?,
-            SolidMesh::Surface {
-                ref file,
-                unit,
-                cell_size,
-            } => {
+            SolidMesh::Surface { ref file, unit, cell_size } => {
                 let surface = read_surface(file, unit).map_err(|error| error.within(what))?;
                 sized(surface.bounds())?;
                 centre = surface.centre();
@@ -151,10 +143,7 @@ impl TetMesh {
     /// Volume of all elements, m^3.
     pub fn volume(&self) -> f64 {
         let elements = self.elements.iter();
-        elements
-            .map(|&element| self.determinant(element))
-            .sum::<f64>()
-            / 6.0
+        elements.map(|&element| self.determinant(element)).sum::<f64>() / 6.0
     }
 
     /// Low and high corner of the bounding box, m.
@@ -180,15 +169,10 @@ impl TetMesh {
     /// Number of edges that more than two surface triangles share, along which the surface touches itself.
     pub fn pinched_edges(&self) -> usize {
         let triangles = self.surface();
-        let ends = triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let ends = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
         let mut edges: Vec<[u32; 2]> = ends.map(|[a, b]| [a.min(b), a.max(b)]).collect();
         edges.sort_unstable();
-        edges
-            .chunk_by(|a, b| a == b)
-            .filter(|same| same.len() > 2)
-            .count()
+        edges.chunk_by(|a, b| a == b).filter(|same| same.len() > 2).count()
     }
 
     /// Number of parts without common nodes.
@@ -240,20 +224,14 @@ impl TetMesh {
     pub fn worst_element(&self) -> Option<(usize, ElementShape)> {
         let shapes = self.elements.iter().map(|&element| self.shape(element));
         let smaller = |a: (usize, ElementShape), b: (usize, ElementShape)| {
-            if b.1.mean_ratio < a.1.mean_ratio {
-                b
-            } else {
-                a
-            }
+            if b.1.mean_ratio < a.1.mean_ratio { b } else { a }
         };
         shapes.enumerate().reduce(smaller)
     }
 
     /// The first reason why this is no mesh of a solid. Elements and nodes are counted from 0.
     pub fn fault(&self) -> Option<Fault> {
-        self.fault_named(&|element| format!("element {element}"), &|node| {
-            format!("node {node}")
-        })
+        self.fault_named(&|element| format!("element {element}"), &|node| format!("node {node}"))
     }
 
     /// As [`TetMesh::fault`], with the file's names of elements and nodes.
@@ -264,10 +242,7 @@ impl TetMesh {
     ) -> Option<Fault> {
         let fault = |problem, cure| Some(Fault { problem, cure });
         if self.elements.is_empty() {
-            return fault(
-                "no tetrahedra".to_owned(),
-                "give a mesh with 4-node tetrahedra",
-            );
+            return fault("no tetrahedra".to_owned(), "give a mesh with 4-node tetrahedra");
         }
         if let Some(node) = self.nodes.iter().position(|&x| !is_near(x)) {
             return fault(
@@ -307,9 +282,7 @@ impl TetMesh {
         let sides = self.sides();
         for group in sides.chunk_by(|a, b| a.nodes == b.nodes) {
             let names = |group: &[Side]| {
-                let names = group
-                    .iter()
-                    .map(|side| element_name(side.place as usize / 4));
+                let names = group.iter().map(|side| element_name(side.place as usize / 4));
                 names.collect::<Vec<_>>().join(", ")
             };
             if group.len() > 2 {
@@ -322,10 +295,7 @@ impl TetMesh {
                 && first.even == second.even
             {
                 return fault(
-                    format!(
-                        "{} overlap: both lie on the same side of their common face",
-                        names(group)
-                    ),
+                    format!("{} overlap: both lie on the same side of their common face", names(group)),
                     "remove doubled elements, and parts that overlap, in the mesh tool",
                 );
             }
@@ -370,11 +340,7 @@ impl TetMesh {
                     first if first == b => c,
                     _ => a,
                 };
-                Side {
-                    nodes,
-                    place,
-                    even: next == nodes[1],
-                }
+                Side { nodes, place, even: next == nodes[1] }
             })
             .collect();
         sides.sort_unstable();

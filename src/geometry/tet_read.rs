@@ -58,29 +58,16 @@ pub fn parse(bytes: &[u8], file: &Path) -> Result<TetFile, Error> {
             "a surface, not tetrahedra",
             "fill it: mesh = { surface = { file = .., cell_size = .. } } in a scene, --cell-size on the command line",
         )),
-        _ => Err(Problem::new(
-            "unknown kind of mesh file",
-            "use .msh (Gmsh 4.1) or .vtu",
-        )),
+        _ => Err(Problem::new("unknown kind of mesh file", "use .msh (Gmsh 4.1) or .vtu")),
     };
     raw.and_then(check).map_err(|problem| problem.in_file(file))
 }
 
 fn check(raw: RawTets) -> Result<TetFile, Problem> {
-    let RawTets {
-        nodes,
-        elements,
-        node_names,
-        element_names,
-        words: [element_word, node_word],
-        ignored,
-    } = raw;
+    let RawTets { nodes, elements, node_names, element_names, words: [element_word, node_word], ignored } = raw;
     if elements.len() as f64 > MAX_ELEMENTS {
         return Err(Problem::new(
-            format!(
-                "{} tetrahedra, allowed are {MAX_ELEMENTS:.0}",
-                elements.len()
-            ),
+            format!("{} tetrahedra, allowed are {MAX_ELEMENTS:.0}", elements.len()),
             "mesh with a larger size",
         ));
     }
@@ -90,10 +77,7 @@ fn check(raw: RawTets) -> Result<TetFile, Problem> {
             notes.push(format!("{n} {what}"));
         }
     };
-    note(
-        ignored,
-        format!("{element_word}s of fewer dimensions ignored"),
-    );
+    note(ignored, format!("{element_word}s of fewer dimensions ignored"));
     let element_name = |number: usize| format!("{element_word} {}", element_names[number]);
     for (number, element) in elements.iter().enumerate() {
         let again = (1..4).find(|&corner| element[..corner].contains(&element[corner]));
@@ -107,20 +91,11 @@ fn check(raw: RawTets) -> Result<TetFile, Problem> {
     }
     let mut mesh = TetMesh { nodes, elements };
     let kept = mesh.drop_unused_nodes();
-    note(
-        node_names.len() - kept.len(),
-        format!("{node_word}s dropped, which no tetrahedron uses"),
-    );
+    note(node_names.len() - kept.len(), format!("{node_word}s dropped, which no tetrahedron uses"));
     let node_name = |node: usize| format!("{node_word} {}", node_names[kept[node]]);
-    let inverted = mesh
-        .elements
-        .iter()
-        .all(|&element| mesh.determinant(element) < 0.0);
+    let inverted = mesh.elements.iter().all(|&element| mesh.determinant(element) < 0.0);
     if inverted {
-        note(
-            mesh.elements.len(),
-            "tetrahedra turned: all were inverted".to_owned(),
-        );
+        note(mesh.elements.len(), "tetrahedra turned: all were inverted".to_owned());
         for element in &mut mesh.elements {
             element.swap(2, 3);
         }
@@ -130,21 +105,12 @@ fn check(raw: RawTets) -> Result<TetFile, Problem> {
     }
     if let Some([a, b]) = coincident(&mesh) {
         return Err(Problem::new(
-            format!(
-                "{} and {} are both at {}",
-                node_name(a),
-                node_name(b),
-                mesh.nodes[a]
-            ),
+            format!("{} and {} are both at {}", node_name(a), node_name(b), mesh.nodes[a]),
             "merge double nodes, else the parts come apart (gmsh: Mesh.RemoveDuplicateNodes, ParaView: Clean to Grid); bodies that \
              only touch belong in files of their own",
         ));
     }
-    Ok(TetFile {
-        mesh,
-        numbers: element_names,
-        notes,
-    })
+    Ok(TetFile { mesh, numbers: element_names, notes })
 }
 
 /// Two nodes at the same position, if there are any.

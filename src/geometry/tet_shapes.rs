@@ -24,10 +24,7 @@ pub(super) fn cuboid(size: DVec3, cells: [usize; 3]) -> Result<TetMesh, Fault> {
             cure: "three extents and three numbers of bricks, all positive",
         });
     }
-    check_count(
-        6.0 * cells.iter().map(|&n| n as f64).product::<f64>(),
-        "give fewer cells",
-    )?;
+    check_count(6.0 * cells.iter().map(|&n| n as f64).product::<f64>(), "give fewer cells")?;
     let [nx, ny, nz] = cells;
     let mut mesh = TetMesh::default();
     for i in 0..=nx {
@@ -58,11 +55,7 @@ pub(super) fn cuboid(size: DVec3, cells: [usize; 3]) -> Result<TetMesh, Fault> {
                     let [a, b, c] = order.map(|axis| step[axis]);
                     let (first, second) = (low + a, low + a + b);
                     let high = low + a + b + c;
-                    mesh.elements.push(if even {
-                        [low, first, second, high]
-                    } else {
-                        [low, second, first, high]
-                    });
+                    mesh.elements.push(if even { [low, first, second, high] } else { [low, second, first, high] });
                 }
             }
         }
@@ -89,12 +82,8 @@ pub(super) fn shell(radius: f64, thickness: f64, cell_size: f64) -> Result<TetMe
     }
     let n = segments(radius, cell_size)?;
     let layers = ((EDGE * thickness / cell_size).round() as usize).min(n - 1);
-    let vertex_radius =
-        |n: usize, radius: f64| radius * icosahedron::equal_volume(&icosahedron::unit_sphere(n));
-    let (inner, outer) = (
-        vertex_radius(n - layers, radius - thickness),
-        vertex_radius(n, radius),
-    );
+    let vertex_radius = |n: usize, radius: f64| radius * icosahedron::equal_volume(&icosahedron::unit_sphere(n));
+    let (inner, outer) = (vertex_radius(n - layers, radius - thickness), vertex_radius(n, radius));
     if layers == 0 {
         return Ok(prisms(n, inner, outer));
     }
@@ -129,9 +118,7 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
                 for c in 0..last - a - b {
                     // Corners of the skewed cube at (a, b, c) lie on planes a + b + c to a + b + c + 3.
                     let low = a + b + c;
-                    let mut corner = |bits: usize| {
-                        number([a + (bits & 1), b + (bits >> 1 & 1), c + (bits >> 2)])
-                    };
+                    let mut corner = |bits: usize| number([a + (bits & 1), b + (bits >> 1 & 1), c + (bits >> 2)]);
                     if low >= first {
                         blocks.push(Block::Tetrahedron([0, 1, 2, 4].map(&mut corner)));
                     }
@@ -147,9 +134,7 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
     }
     let points = lattice.points.iter().zip(&lattice.planes);
     let mut mesh = TetMesh {
-        nodes: points
-            .map(|(x, &plane)| x.normalize_or_zero() * radius(plane))
-            .collect(),
+        nodes: points.map(|(x, &plane)| x.normalize_or_zero() * radius(plane)).collect(),
         elements: Vec::new(),
     };
     for block in blocks {
@@ -160,9 +145,7 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
                 let worst = |cut: &[[u32; 4]; 4]| {
                     let shapes = cut.iter().map(|&element| mesh.shape(element));
                     // Elements are oriented later.
-                    shapes
-                        .map(|s| s.mean_ratio.abs())
-                        .fold(f64::INFINITY, f64::min)
+                    shapes.map(|s| s.mean_ratio.abs()).fold(f64::INFINITY, f64::min)
                 };
                 // With a margin, so that rounding does not choose among symmetric diagonals.
                 let mut best = 0;
@@ -201,10 +184,7 @@ fn prisms(n: usize, inner: f64, outer: f64) -> TetMesh {
     let above = unit.vertices.len() as u32;
     let directions = unit.vertices.iter();
     let mut mesh = TetMesh {
-        nodes: [inner, outer]
-            .into_iter()
-            .flat_map(|radius| directions.clone().map(move |&x| radius * x))
-            .collect(),
+        nodes: [inner, outer].into_iter().flat_map(|radius| directions.clone().map(move |&x| radius * x)).collect(),
         elements: Vec::new(),
     };
     for mut corners in unit.triangles {
@@ -221,7 +201,6 @@ impl TetMesh {
     /// Adds an element, reoriented if inverted.
     fn push_oriented(&mut self, [a, b, c, d]: [u32; 4]) {
         let inverted = self.determinant([a, b, c, d]) < 0.0;
-        self.elements
-            .push(if inverted { [a, b, d, c] } else { [a, b, c, d] });
+        self.elements.push(if inverted { [a, b, d, c] } else { [a, b, c, d] });
     }
 }

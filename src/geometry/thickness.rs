@@ -75,19 +75,13 @@ pub fn thin_obstacles(scene: &Scene, grid: &Grid) -> Result<Vec<ThinWall>, Error
 pub fn thin_solids(mesh: &MovedMesh, grid: &Grid) -> Vec<ThinWall> {
     let needed = |normal: DVec3| grid.dx * one_norm(normal);
     let closed = mesh.closed_bodies().into_iter().enumerate();
-    closed
-        .filter_map(|(number, body)| thin_wall(number, body.thinnest_wall(needed), grid.dx))
-        .collect()
+    closed.filter_map(|(number, body)| thin_wall(number, body.thinnest_wall(needed), grid.dx)).collect()
 }
 
 fn thin_wall(body: usize, wall: Option<Wall>, dx: f64) -> Option<ThinWall> {
     let wall = wall.filter(|wall| ratio(wall) < 1.0 - ROUNDING)?;
     let [thickness, needed] = wall.map(|part| part / dx);
-    Some(ThinWall {
-        body,
-        thickness,
-        needed,
-    })
+    Some(ThinWall { body, thickness, needed })
 }
 
 fn one_norm(x: DVec3) -> f64 {
@@ -106,8 +100,7 @@ fn rotations(obstacle: &Obstacle, end: f64) -> Vec<DMat3> {
         let angle = (rotation(to) - rotation(from)).length();
         let n = ((angle / MAX_ROTATION).ceil() as usize).min(MAX_POSES);
         let times = (0..=n).map(|i| from + (to - from) * i as f64 / n.max(1) as f64);
-        rotations
-            .extend(times.map(|time| DMat3::from_quat(DQuat::from_scaled_axis(rotation(time)))));
+        rotations.extend(times.map(|time| DMat3::from_quat(DQuat::from_scaled_axis(rotation(time)))));
     }
     rotations
 }
@@ -132,21 +125,12 @@ fn thinnest_of(body: &Body, rotations: &[DMat3], dx: f64) -> Option<Wall> {
         _ if body.is_container() => Vec::new(),
         Solid::Box { min, max } => {
             let axes = DVec3::AXES.into_iter().zip((*max - *min).to_array());
-            axes.map(|(axis, side)| [scale * side, flat(placement.rotate * axis)])
-                .collect()
+            axes.map(|(axis, side)| [scale * side, flat(placement.rotate * axis)]).collect()
         }
         Solid::Sphere { radius, .. } => vec![[scale * 2.0 * radius, 3.0_f64.sqrt() * dx]],
-        Solid::Cylinder {
-            axis,
-            radius,
-            heights: [low, high],
-            ..
-        } => {
+        Solid::Cylinder { axis, radius, heights: [low, high], .. } => {
             let axis = placement.rotate * *axis;
-            vec![
-                [scale * (high - low), flat(axis)],
-                [scale * 2.0 * radius, round(axis)],
-            ]
+            vec![[scale * (high - low), flat(axis)], [scale * 2.0 * radius, round(axis)]]
         }
         Solid::HalfSpace { .. } | Solid::Wave { .. } | Solid::Solitary(_) => Vec::new(),
         Solid::Mesh(mesh) => mesh.thinnest_wall(flat).into_iter().collect(),
@@ -198,8 +182,7 @@ impl ClosedMesh {
             return true;
         }
         let steps = || [-1.0, 0.0, 1.0].into_iter();
-        let steps = steps()
-            .flat_map(|z| steps().flat_map(move |y| steps().map(move |x| DVec3::new(x, y, z))));
+        let steps = steps().flat_map(|z| steps().flat_map(move |y| steps().map(move |x| DVec3::new(x, y, z))));
         let directions = steps.filter_map(DVec3::try_normalize);
         let starts = directions.flat_map(|direction| {
             let free = self.ray_length(start, direction, reach);
@@ -242,9 +225,7 @@ impl ClosedMesh {
     /// Distance from an inner point to the surface along a direction, m, at most `most`.
     fn ray_length(&self, start: DVec3, direction: DVec3, most: f64) -> f64 {
         let ray = Ray::new(start, direction);
-        let hit = self
-            .free_triangles()
-            .and_then(|mesh| mesh.cast_local_ray(&ray, most, false));
+        let hit = self.free_triangles().and_then(|mesh| mesh.cast_local_ray(&ray, most, false));
         hit.unwrap_or(most)
     }
 }
@@ -271,11 +252,7 @@ fn chords(mesh: &TriMesh) -> Vec<Chord> {
         let start = triangle.center() - 1e-9 * size * normal;
         let length = mesh.cast_local_ray(&Ray::new(start, -normal), size, false)?;
         let middle = start - 0.5 * length * normal;
-        Some(Chord {
-            length,
-            normal,
-            middle,
-        })
+        Some(Chord { length, normal, middle })
     };
     triangles.filter_map(chord).collect()
 }
@@ -284,10 +261,7 @@ fn chords(mesh: &TriMesh) -> Vec<Chord> {
 /// tetrahedron with the mean element volume.
 pub fn layers_across(mesh: &TetMesh) -> Option<[f64; 2]> {
     let surface = ClosedMesh::new(mesh.nodes.clone(), mesh.surface());
-    let mut lengths: Vec<f64> = chords(surface.free_triangles()?)
-        .iter()
-        .map(|c| c.length)
-        .collect();
+    let mut lengths: Vec<f64> = chords(surface.free_triangles()?).iter().map(|c| c.length).collect();
     lengths.sort_by(f64::total_cmp);
     let thickness = *lengths.get(lengths.len() / 2)?;
     let volume = mesh.volume() / mesh.elements.len() as f64;

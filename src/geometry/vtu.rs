@@ -17,9 +17,7 @@ use super::tet_read::RawTets;
 const TETRAHEDRON: i64 = 10;
 
 /// Cells of fewer than three dimensions: vertices, lines, triangles, quadrilaterals and so on, also of higher order.
-const LOWER: [i64; 25] = [
-    1, 2, 3, 4, 5, 6, 7, 8, 9, 21, 22, 23, 28, 30, 31, 34, 35, 36, 51, 68, 69, 70, 75, 76, 77,
-];
+const LOWER: [i64; 25] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 21, 22, 23, 28, 30, 31, 34, 35, 36, 51, 68, 69, 70, 75, 76, 77];
 
 const TETRAHEDRALIZE: &str = "in ParaView apply the filter Tetrahedralize (for cells of higher order before it Linearize), and save the result as .vtu";
 
@@ -38,12 +36,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<RawTets, Problem> {
     if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") && !appended.is_empty() {
         return Err(file.problem(root, "the file does not end with </VTKFile>"));
     }
-    let grid = child(root, "UnstructuredGrid")
-        .ok_or_else(|| file.problem(root, "no UnstructuredGrid, so no tetrahedra"))?;
-    let mut raw = RawTets {
-        words: ["cell", "point"],
-        ..RawTets::default()
-    };
+    let grid =
+        child(root, "UnstructuredGrid").ok_or_else(|| file.problem(root, "no UnstructuredGrid, so no tetrahedra"))?;
+    let mut raw = RawTets { words: ["cell", "point"], ..RawTets::default() };
     let mut n_cells_before = 0;
     for piece in grid.children().filter(|node| node.has_tag_name("Piece")) {
         n_cells_before += file.read_piece(piece, n_cells_before, &mut raw)?;
@@ -56,9 +51,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<RawTets, Problem> {
 fn split(bytes: &[u8]) -> (String, &[u8]) {
     let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
     let find = |from: usize, what: &[u8]| {
-        let at = bytes[from..]
-            .windows(what.len())
-            .position(|part| part == what);
+        let at = bytes[from..].windows(what.len()).position(|part| part == what);
         at.map(|at| from + at)
     };
     let cut = || {
@@ -107,11 +100,7 @@ struct File<'a> {
 }
 
 impl<'a> File<'a> {
-    fn new(
-        document: &'a Document<'a>,
-        root: Node<'a, 'a>,
-        appended: &'a [u8],
-    ) -> Result<File<'a>, Problem> {
+    fn new(document: &'a Document<'a>, root: Node<'a, 'a>, appended: &'a [u8]) -> Result<File<'a>, Problem> {
         let encoding = child(root, "AppendedData").and_then(|node| node.attribute("encoding"));
         let mut file = File {
             document,
@@ -159,16 +148,9 @@ impl<'a> File<'a> {
     }
 
     /// Reads a piece; returns its number of cells.
-    fn read_piece(
-        &self,
-        piece: Node<'a, 'a>,
-        n_cells_before: u64,
-        raw: &mut RawTets,
-    ) -> Result<u64, Problem> {
+    fn read_piece(&self, piece: Node<'a, 'a>, n_cells_before: u64, raw: &mut RawTets) -> Result<u64, Problem> {
         let [n_points, n_cells] = ["NumberOfPoints", "NumberOfCells"].map(|name| {
-            let count = piece
-                .attribute(name)
-                .and_then(|count| count.trim().parse().ok());
+            let count = piece.attribute(name).and_then(|count| count.trim().parse().ok());
             count.ok_or_else(|| self.problem(piece, format!("no {name} of this piece")))
         });
         let (n_points, n_cells): (usize, usize) = (n_points?, n_cells?);
@@ -193,10 +175,7 @@ impl<'a> File<'a> {
                 Some(corners)
             });
             let corners = corners.ok_or_else(|| {
-                self.problem(
-                    offsets_node,
-                    format!("cell {number} ends at {end}, outside of connectivity"),
-                )
+                self.problem(offsets_node, format!("cell {number} ends at {end}, outside of connectivity"))
             })?;
             match (kind, corners) {
                 (TETRAHEDRON, &[a, b, c, d]) => {
@@ -205,9 +184,8 @@ impl<'a> File<'a> {
                         let known = usize::try_from(corner).ok().filter(|&at| at < n_points);
                         let known = known.and_then(|at| u32::try_from(first + at).ok());
                         *node = known.ok_or_else(|| {
-                            let problem = format!(
-                                "cell {number} has point {corner}, but there are {n_points}, counted from 0"
-                            );
+                            let problem =
+                                format!("cell {number} has point {corner}, but there are {n_points}, counted from 0");
                             self.problem(connectivity_node, problem)
                         })?;
                     }
@@ -216,28 +194,19 @@ impl<'a> File<'a> {
                 }
                 (TETRAHEDRON, corners) => {
                     let n = corners.len();
-                    return Err(self.problem(
-                        offsets_node,
-                        format!("cell {number} is a tetrahedron with {n} points"),
-                    ));
+                    return Err(self.problem(offsets_node, format!("cell {number} is a tetrahedron with {n} points")));
                 }
                 (kind, _) if LOWER.contains(&kind) => raw.ignored += 1,
                 (kind, _) => {
                     let cell = format!("cell {number} is {}", cell_name(kind));
                     let problem = format!("{cell}; only tetrahedra of 4 points are used");
-                    return Err(Problem {
-                        cure: TETRAHEDRALIZE.into(),
-                        ..self.problem(types_node, problem)
-                    });
+                    return Err(Problem { cure: TETRAHEDRALIZE.into(), ..self.problem(types_node, problem) });
                 }
             }
         }
         if start != connectivity.len() {
             let n = connectivity.len() - start;
-            return Err(self.problem(
-                connectivity_node,
-                format!("{n} numbers are left over behind the last cell"),
-            ));
+            return Err(self.problem(connectivity_node, format!("{n} numbers are left over behind the last cell")));
         }
         Ok(n_cells as u64)
     }
@@ -248,8 +217,7 @@ impl<'a> File<'a> {
 
     fn points(&self, piece: Node<'a, 'a>, n: usize) -> Result<Vec<DVec3>, Problem> {
         let points = self.part(piece, "Points")?;
-        let points = child(points, "DataArray")
-            .ok_or_else(|| self.problem(points, "no DataArray of points"))?;
+        let points = child(points, "DataArray").ok_or_else(|| self.problem(points, "no DataArray of points"))?;
         let coordinates = self.real(points)?;
         let (positions, rest) = coordinates.as_chunks::<3>();
         if positions.len() != n || !rest.is_empty() {
@@ -260,17 +228,10 @@ impl<'a> File<'a> {
     }
 
     /// An integer array of the cells, with its node.
-    fn cell_array(
-        &self,
-        cells: Node<'a, 'a>,
-        name: &str,
-    ) -> Result<(Node<'a, 'a>, Vec<i64>), Problem> {
-        let mut arrays = cells
-            .children()
-            .filter(|node| node.has_tag_name("DataArray"));
+    fn cell_array(&self, cells: Node<'a, 'a>, name: &str) -> Result<(Node<'a, 'a>, Vec<i64>), Problem> {
+        let mut arrays = cells.children().filter(|node| node.has_tag_name("DataArray"));
         let node = arrays.find(|node| node.attribute("Name") == Some(name));
-        let node =
-            node.ok_or_else(|| self.problem(cells, format!("no array {name} of the cells")))?;
+        let node = node.ok_or_else(|| self.problem(cells, format!("no array {name} of the cells")))?;
         Ok((node, self.whole(node)?))
     }
 
@@ -304,14 +265,10 @@ impl<'a> File<'a> {
                 let tokens = text.split_ascii_whitespace();
                 return if real {
                     let values: Result<_, _> = tokens.map(str::parse).collect();
-                    values
-                        .map(Values::Real)
-                        .map_err(|_| self.problem(node, "this is not a list of numbers"))
+                    values.map(Values::Real).map_err(|_| self.problem(node, "this is not a list of numbers"))
                 } else {
                     let values: Result<_, _> = tokens.map(str::parse).collect();
-                    values
-                        .map(Values::Whole)
-                        .map_err(|_| self.problem(node, "this is not a list of whole numbers"))
+                    values.map(Values::Whole).map_err(|_| self.problem(node, "this is not a list of whole numbers"))
                 };
             }
             Some("binary") => {
@@ -328,9 +285,7 @@ impl<'a> File<'a> {
                 decoded
             }
             Some("appended") => {
-                let offset = node
-                    .attribute("offset")
-                    .and_then(|offset| offset.parse().ok());
+                let offset = node.attribute("offset").and_then(|offset| offset.parse().ok());
                 let data = offset.and_then(|offset: usize| self.appended.get(offset..));
                 data.and_then(|data| self.decode(data, self.appended_base64))
             }
@@ -339,14 +294,9 @@ impl<'a> File<'a> {
                 return Err(self.problem(node, format!("data in the format {other}")));
             }
         };
-        let (bytes, _) = bytes
-            .ok_or_else(|| self.problem(node, "these data cannot be decoded, or end too early"))?;
-        self.numbers(&bytes, kind).ok_or_else(|| {
-            self.problem(
-                node,
-                format!("{} bytes of data of type {kind}", bytes.len()),
-            )
-        })
+        let (bytes, _) = bytes.ok_or_else(|| self.problem(node, "these data cannot be decoded, or end too early"))?;
+        self.numbers(&bytes, kind)
+            .ok_or_else(|| self.problem(node, format!("{} bytes of data of type {kind}", bytes.len())))
     }
 
     /// Bytes of the array at the start of `data`, and the length of its encoding: a header with sizes, then the values,
@@ -373,33 +323,21 @@ impl<'a> File<'a> {
         // Number of blocks, size of a block, size of a smaller last block, compressed sizes.
         let header_bytes = first.checked_add(3)?.checked_mul(self.header)?;
         let header = take(data, header_bytes)?;
-        let sizes: Option<Vec<usize>> = header
-            .chunks(self.header)
-            .map(|size| self.size(size))
-            .collect();
+        let sizes: Option<Vec<usize>> = header.chunks(self.header).map(|size| self.size(size)).collect();
         let sizes = sizes?;
         let (&[n_blocks, whole, last], compressed) = sizes.split_first_chunk::<3>()?;
         let behind = encoded(header_bytes);
-        let total = compressed
-            .iter()
-            .try_fold(0_usize, |sum, &size| sum.checked_add(size))?;
+        let total = compressed.iter().try_fold(0_usize, |sum, &size| sum.checked_add(size))?;
         let packed = take(data.get(behind..)?, total)?;
         let mut bytes = Vec::new();
         let mut start = 0;
         for (block, &size) in compressed.iter().enumerate() {
-            let expected = if block + 1 == n_blocks && last > 0 {
-                last
-            } else {
-                whole
-            };
+            let expected = if block + 1 == n_blocks && last > 0 { last } else { whole };
             let before = bytes.len();
             let packed = &packed[start..start + size];
             // Damaged sizes must not exhaust the memory.
             let limit = (expected as u64).saturating_add(1);
-            ZlibDecoder::new(packed)
-                .take(limit)
-                .read_to_end(&mut bytes)
-                .ok()?;
+            ZlibDecoder::new(packed).take(limit).read_to_end(&mut bytes).ok()?;
             if bytes.len() - before != expected {
                 return None;
             }
@@ -423,9 +361,8 @@ impl<'a> File<'a> {
         macro_rules! numbers {
             ($kind:ty, $values:expr, $into:ty) => {{
                 let (numbers, rest) = bytes.as_chunks::<{ size_of::<$kind>() }>();
-                let numbers = numbers.iter().map(|&bytes| {
-                    <$kind>::from_le_bytes(little_endian(bytes, self.big_endian)) as $into
-                });
+                let numbers =
+                    numbers.iter().map(|&bytes| <$kind>::from_le_bytes(little_endian(bytes, self.big_endian)) as $into);
                 rest.is_empty().then(|| $values(numbers.collect()))
             }};
         }

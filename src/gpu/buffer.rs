@@ -23,11 +23,7 @@ pub struct BufferPlan {
 impl BufferPlan {
     /// A plan for `len` elements of `T`.
     pub fn of<T>(label: &str, len: usize) -> BufferPlan {
-        BufferPlan {
-            label: label.to_owned(),
-            len,
-            element: size_of::<T>(),
-        }
+        BufferPlan { label: label.to_owned(), len, element: size_of::<T>() }
     }
 
     /// Bytes in all.
@@ -104,11 +100,7 @@ impl Gpu {
         Ok(buffer)
     }
 
-    fn make<T: Pod>(
-        &self,
-        plan: BufferPlan,
-        usage: wgpu::BufferUsages,
-    ) -> Result<Buffer<T>, Error> {
+    fn make<T: Pod>(&self, plan: BufferPlan, usage: wgpu::BufferUsages) -> Result<Buffer<T>, Error> {
         let size = plan.bytes();
         let raw = match self.open() {
             None => None,
@@ -124,23 +116,12 @@ impl Gpu {
         };
         let (label, len) = (plan.label.clone(), plan.len * plan.element / size_of::<T>());
         self.note_allocation(plan);
-        Ok(Buffer {
-            raw,
-            len,
-            label,
-            element: PhantomData,
-        })
+        Ok(Buffer { raw, len, label, element: PhantomData })
     }
 
     /// Writes values to the start of a buffer, before all work submitted later.
     pub fn upload<T: Pod>(&self, buffer: &Buffer<T>, values: &[T]) {
-        assert!(
-            values.len() <= buffer.len,
-            "{}: {} values into {}",
-            buffer.label,
-            values.len(),
-            buffer.len
-        );
+        assert!(values.len() <= buffer.len, "{}: {} values into {}", buffer.label, values.len(), buffer.len);
         if let Some((open, raw)) = self.open().zip(buffer.raw.as_ref())
             && !values.is_empty()
         {
@@ -178,15 +159,8 @@ impl RealBuffer {
     /// # Errors
     /// As [`Gpu::buffer`].
     pub fn new(gpu: &Gpu, label: &str, len: usize, real: Real) -> Result<RealBuffer, Error> {
-        let plan = BufferPlan {
-            label: label.to_owned(),
-            len,
-            element: real.bytes(),
-        };
-        Ok(RealBuffer {
-            words: gpu.make(plan, STORAGE)?,
-            real,
-        })
+        let plan = BufferPlan { label: label.to_owned(), len, element: real.bytes() };
+        Ok(RealBuffer { words: gpu.make(plan, STORAGE)?, real })
     }
 
     /// Writes values, rounded to the scalar type, before all work submitted later.
@@ -212,10 +186,7 @@ impl RealBuffer {
     pub fn widen(&self, words: &[u32]) -> Vec<f64> {
         match self.real {
             Real::F64 => bytemuck::pod_collect_to_vec(words),
-            Real::F32 => words
-                .iter()
-                .map(|&word| f64::from(f32::from_bits(word)))
-                .collect(),
+            Real::F32 => words.iter().map(|&word| f64::from(f32::from_bits(word))).collect(),
         }
     }
 }
@@ -241,10 +212,7 @@ impl Arrival {
     /// Waits for the work, and for the news, which a thread that polled at the same time may be about to pass on.
     pub(super) fn wait(self, gpu: &Gpu, during: &str) -> Result<(), Error> {
         gpu.wait(during)?;
-        let fault = |problem: String| Error::Gpu {
-            during: during.to_owned(),
-            problem,
-        };
+        let fault = |problem: String| Error::Gpu { during: during.to_owned(), problem };
         self.0
             .recv_timeout(PATIENCE)
             .map_err(|_| fault("the mapping did not arrive".to_owned()))?
@@ -272,13 +240,7 @@ impl<T: Pod> Readback<T> {
         let label = format!("{label} (read-back)");
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         let Buffer { raw, len, .. } = gpu.make::<T>(BufferPlan::of::<T>(&label, len), usage)?;
-        Ok(Readback {
-            raw,
-            len,
-            label,
-            arrival: None,
-            element: PhantomData,
-        })
+        Ok(Readback { raw, len, label, arrival: None, element: PhantomData })
     }
 
     /// Asks for the contents as of the work submitted so far; the host goes on meanwhile.
@@ -300,10 +262,9 @@ impl<T: Pod> Readback<T> {
             return Ok(values);
         };
         arrival.wait(gpu, &self.label)?;
-        let view = raw.get_mapped_range(..).map_err(|error| Error::Gpu {
-            during: self.label.clone(),
-            problem: error.to_string(),
-        })?;
+        let view = raw
+            .get_mapped_range(..)
+            .map_err(|error| Error::Gpu { during: self.label.clone(), problem: error.to_string() })?;
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
         let n = bytes.len();
         bytes.copy_from_slice(&view[..n]);

@@ -60,10 +60,7 @@ impl Compaction {
 
     /// Compacts `flags[first .. first + n_flags]` (both multiples of 4) into `list[first ..]`. The list contains
     /// indices into `flags`.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "four buffers and where to look in them, each named at the call"
-    )]
+    #[expect(clippy::too_many_arguments, reason = "four buffers and where to look in them, each named at the call")]
     pub fn new(
         gpu: &Gpu,
         kernels: &CompactKernels,
@@ -74,17 +71,10 @@ impl Compaction {
         [first, n_flags]: [usize; 2],
         slot: usize,
     ) -> Result<Compaction, Error> {
-        assert!(
-            first.is_multiple_of(4) && n_flags.is_multiple_of(4),
-            "compaction works on groups of four flags"
-        );
+        assert!(first.is_multiple_of(4) && n_flags.is_multiple_of(4), "compaction works on groups of four flags");
         let n_chunks = n_flags.div_ceil(CHUNK);
-        let range = Range {
-            first: first as u32,
-            n_flags: n_flags as u32,
-            args: 4 * slot as u32,
-            n_chunks: n_chunks as u32,
-        };
+        let range =
+            Range { first: first as u32, n_flags: n_flags as u32, args: 4 * slot as u32, n_chunks: n_chunks as u32 };
         let range = gpu.uniform("compact.range", &range)?;
         let range = ("range", (&range).into());
         let flags = ("flags", flags.into());
@@ -92,22 +82,14 @@ impl Compaction {
         Ok(Compaction {
             threads: n_chunks,
             count: kernels.count.bind(gpu, &[range, flags, scratch], &[])?,
-            scan: kernels
-                .scan
-                .bind(gpu, &[range, scratch, ("args", args.into())], &[])?,
-            write: kernels
-                .write
-                .bind(gpu, &[range, flags, scratch, ("list", list.into())], &[])?,
+            scan: kernels.scan.bind(gpu, &[range, scratch, ("args", args.into())], &[])?,
+            write: kernels.write.bind(gpu, &[range, flags, scratch, ("list", list.into())], &[])?,
         })
     }
 
     /// The three dispatches.
     pub fn into_dispatches(self) -> [Dispatch; 3] {
-        [
-            self.count.threads(self.threads),
-            self.scan.threads(1),
-            self.write.threads(self.threads),
-        ]
+        [self.count.threads(self.threads), self.scan.threads(1), self.write.threads(self.threads)]
     }
 
     /// Records the three dispatches.

@@ -33,10 +33,7 @@ impl std::str::FromStr for AdapterChoice {
             "integrated" => AdapterChoice::Kind(wgpu::DeviceType::IntegratedGpu),
             "virtual" => AdapterChoice::Kind(wgpu::DeviceType::VirtualGpu),
             "software" | "cpu" => AdapterChoice::Kind(wgpu::DeviceType::Cpu),
-            _ => text.parse().map_or_else(
-                |_| AdapterChoice::Name(text.to_owned()),
-                AdapterChoice::Index,
-            ),
+            _ => text.parse().map_or_else(|_| AdapterChoice::Name(text.to_owned()), AdapterChoice::Index),
         })
     }
 }
@@ -128,9 +125,7 @@ impl AdapterReport {
         let features = adapter.features();
         AdapterReport {
             name: info.name,
-            driver: format!("{} {}", info.driver, info.driver_info)
-                .trim()
-                .to_owned(),
+            driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
             backend: info.backend.to_str().to_owned(),
             kind: kind_name(info.device_type),
             f64: features.contains(wgpu::Features::SHADER_F64),
@@ -192,18 +187,14 @@ impl AdapterReport {
             needed: 1,
             available: 0,
             unit: "feature (SHADER_F64)",
-            cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu"
-                .to_owned(),
+            cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu".to_owned(),
         })
     }
 
     /// Checks the size of a storage buffer against the limits.
     pub fn check_buffer(&self, label: &str, bytes: u64) -> Result<(), Error> {
         let (available, unit) = if self.storage_binding <= self.buffer {
-            (
-                self.storage_binding,
-                "bytes (max_storage_buffer_binding_size)",
-            )
+            (self.storage_binding, "bytes (max_storage_buffer_binding_size)")
         } else {
             (self.buffer, "bytes (max_buffer_size)")
         };
@@ -290,9 +281,7 @@ fn instance() -> &'static wgpu::Instance {
         descriptor.backends = wgpu::Backends::PRIMARY;
         // Indirect sizes come from our own kernels, which respect the limits. wgpu's validating dispatch would cost
         // 18.7 us instead of 1.3 us on llvmpipe.
-        descriptor
-            .flags
-            .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
         quietly(|| wgpu::Instance::new(descriptor))
     })
 }
@@ -314,14 +303,10 @@ fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
     let chosen = match choice {
         AdapterChoice::Best => adapters.iter().min_by_key(|adapter| rank(adapter)),
         AdapterChoice::Index(index) => adapters.get(*index),
-        AdapterChoice::Kind(kind) => adapters
-            .iter()
-            .find(|adapter| adapter.get_info().device_type == *kind),
+        AdapterChoice::Kind(kind) => adapters.iter().find(|adapter| adapter.get_info().device_type == *kind),
         AdapterChoice::Name(name) => {
             let name = name.to_lowercase();
-            adapters
-                .iter()
-                .find(|adapter| adapter.get_info().name.to_lowercase().contains(&name))
+            adapters.iter().find(|adapter| adapter.get_info().name.to_lowercase().contains(&name))
         }
     };
     chosen.cloned().ok_or_else(|| {
@@ -335,9 +320,10 @@ fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
         }
         Error::Adapter {
             problem: format!("none matches {choice}; found {found}"),
-            cure: "give --adapter an index, a kind (discrete, integrated, virtual, software) or part of a name, or run \
+            cure:
+                "give --adapter an index, a kind (discrete, integrated, virtual, software) or part of a name, or run \
                    with --backend cpu"
-                .to_owned(),
+                    .to_owned(),
         }
     })
 }
@@ -377,20 +363,14 @@ impl Gpu {
             }
         };
         let sink = Arc::clone(&faults);
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            keep_first(&sink, error.to_string())
-        }));
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| keep_first(&sink, error.to_string())));
         let sink = Arc::clone(&faults);
         device.set_device_lost_callback(move |reason, message| {
             if reason != wgpu::DeviceLostReason::Destroyed {
                 keep_first(&sink, format!("the device was lost: {message}"));
             }
         });
-        let open = Open {
-            device,
-            queue,
-            limits,
-        };
+        let open = Open { device, queue, limits };
         Ok(Gpu::with(Some(open), report, faults))
     }
 
@@ -410,24 +390,16 @@ impl Gpu {
             meter: Meter::default(),
             timers: Mutex::default(),
         };
-        let gpu = Gpu {
-            shared: shared.into(),
-            stage: "",
-        };
+        let gpu = Gpu { shared: shared.into(), stage: "" };
         if gpu.report.timestamps {
-            Timer::new(&gpu)
-                .into_iter()
-                .for_each(|timer| gpu.keep_timer(timer));
+            Timer::new(&gpu).into_iter().for_each(|timer| gpu.keep_timer(timer));
         }
         gpu
     }
 
     /// A handle to the same device. [`Gpu::stage_kernels`] assigns its kernels to the stage.
     pub fn at(&self, stage: &'static str) -> Gpu {
-        Gpu {
-            shared: Arc::clone(&self.shared),
-            stage,
-        }
+        Gpu { shared: Arc::clone(&self.shared), stage }
     }
 
     /// Whether this is a planning device.
@@ -453,10 +425,7 @@ impl Gpu {
     /// Returns the first device error since the last call, if any, with the operation `during` which it occurred.
     pub fn check(&self, during: &str) -> Result<(), Error> {
         match self.faults.lock().ok().and_then(|mut slot| slot.take()) {
-            Some(problem) => Err(Error::Gpu {
-                during: during.to_owned(),
-                problem,
-            }),
+            Some(problem) => Err(Error::Gpu { during: during.to_owned(), problem }),
             None => Ok(()),
         }
     }
@@ -469,42 +438,28 @@ impl Gpu {
         let polled = open.device.poll(wgpu::PollType::wait_indefinitely());
         self.meter.waited();
         self.check(during)?;
-        polled.map(|_| ()).map_err(|error| Error::Gpu {
-            during: during.to_owned(),
-            problem: error.to_string(),
-        })
+        polled.map(|_| ()).map_err(|error| Error::Gpu { during: during.to_owned(), problem: error.to_string() })
     }
 
     /// Labels and bytes of all buffers so far.
     pub fn allocated(&self) -> Vec<(String, u64)> {
         let plans = self.buffer_plans().into_iter();
-        plans
-            .map(|plan| (plan.label.clone(), plan.bytes()))
-            .collect()
+        plans.map(|plan| (plan.label.clone(), plan.bytes())).collect()
     }
 
     /// All buffers so far.
     pub fn buffer_plans(&self) -> Vec<BufferPlan> {
-        self.allocated
-            .lock()
-            .map(|list| list.clone())
-            .unwrap_or_default()
+        self.allocated.lock().map(|list| list.clone()).unwrap_or_default()
     }
 
     /// Stages (see [`Gpu::at`]) and their kernels, in order of first use.
     pub fn stage_kernels(&self) -> Vec<StageKernel> {
-        self.stage_kernels
-            .lock()
-            .map(|list| list.clone())
-            .unwrap_or_default()
+        self.stage_kernels.lock().map(|list| list.clone()).unwrap_or_default()
     }
 
     /// Names of all kernels compiled so far, sorted.
     pub fn compiled(&self) -> BTreeSet<&'static str> {
-        self.kernels
-            .lock()
-            .map(|kernels| kernels.keys().map(|(source, _)| source.name).collect())
-            .unwrap_or_default()
+        self.kernels.lock().map(|kernels| kernels.keys().map(|(source, _)| source.name).collect()).unwrap_or_default()
     }
 
     /// Traffic since the device was opened.

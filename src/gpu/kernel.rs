@@ -49,10 +49,7 @@ pub struct Binding<'a> {
 
 impl<'a, T: Pod> From<&'a Buffer<T>> for Binding<'a> {
     fn from(buffer: &'a Buffer<T>) -> Binding<'a> {
-        Binding {
-            raw: buffer.raw.as_ref(),
-            element: size_of::<T>(),
-        }
+        Binding { raw: buffer.raw.as_ref(), element: size_of::<T>() }
     }
 }
 
@@ -108,12 +105,7 @@ impl Pipeline {
     /// pipeline.
     fn threads() -> Option<&'static ThreadPool> {
         static THREADS: OnceLock<Option<ThreadPool>> = OnceLock::new();
-        let build = || {
-            ThreadPoolBuilder::new()
-                .thread_name(|n| format!("compile {n}"))
-                .build()
-                .ok()
-        };
+        let build = || ThreadPoolBuilder::new().thread_name(|n| format!("compile {n}")).build().ok();
         THREADS.get_or_init(build).as_ref()
     }
 
@@ -158,10 +150,7 @@ impl Kernel {
             Some(open) => Some(Program::new(open, source, variant)?),
             None => None,
         };
-        let kernel = Kernel {
-            label: source.name,
-            program,
-        };
+        let kernel = Kernel { label: source.name, program };
         gpu.keep_kernel(source, variant, &kernel);
         Ok(kernel)
     }
@@ -171,33 +160,19 @@ impl Kernel {
     ///
     /// # Panics
     /// When a variable has no buffer, or one of another element size, and when a name in `own` is no variable.
-    pub fn bind(
-        &self,
-        gpu: &Gpu,
-        own: &[(&str, Binding)],
-        tables: &[&dyn Arrays],
-    ) -> Result<Bound, Error> {
+    pub fn bind(&self, gpu: &Gpu, own: &[(&str, Binding)], tables: &[&dyn Arrays]) -> Result<Bound, Error> {
         let Some((open, program)) = gpu.open().zip(self.program.as_ref()) else {
-            return Ok(Bound {
-                label: self.label,
-                threads: WG_SIZE,
-                binding: None,
-            });
+            return Ok(Bound { label: self.label, threads: WG_SIZE, binding: None });
         };
         for (name, _) in own {
-            assert!(
-                program.slots.iter().any(|slot| slot.name == *name),
-                "{}: no variable {name}",
-                self.label
-            );
+            assert!(program.slots.iter().any(|slot| slot.name == *name), "{}: no variable {name}", self.label);
         }
         let entry = |slot: &Slot| {
             let name = &*slot.name;
             let own = own.iter().find(|(known, _)| *known == name);
             let binding = own.map(|(_, binding)| *binding);
             let binding = binding.or_else(|| tables.iter().find_map(|table| table.array(name)));
-            let binding =
-                binding.unwrap_or_else(|| panic!("{}: nothing bound to {name}", self.label));
+            let binding = binding.unwrap_or_else(|| panic!("{}: nothing bound to {name}", self.label));
             let (stride, element) = (slot.stride as usize, binding.element);
             assert!(
                 stride.is_multiple_of(element) || element.is_multiple_of(stride),
@@ -205,10 +180,7 @@ impl Kernel {
                 self.label
             );
             let raw = binding.raw.expect("a buffer of a planning device is bound");
-            wgpu::BindGroupEntry {
-                binding: slot.binding,
-                resource: raw.as_entire_binding(),
-            }
+            wgpu::BindGroupEntry { binding: slot.binding, resource: raw.as_entire_binding() }
         };
         let entries: Vec<_> = program.slots.iter().map(entry).collect();
         let group = open.device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -220,10 +192,7 @@ impl Kernel {
         Ok(Bound {
             label: self.label,
             threads: program.threads,
-            binding: Some(BoundProgram {
-                pipeline: program.pipeline.clone(),
-                group,
-            }),
+            binding: Some(BoundProgram { pipeline: program.pipeline.clone(), group }),
         })
     }
 }
@@ -233,33 +202,25 @@ impl Program {
         let composed = compose(source, variant)?;
         let module = parse(&composed)?;
         let entry = source.name.rsplit('/').next().unwrap_or(source.name);
-        let point = module
-            .entry_points
-            .iter()
-            .find(|point| point.name == entry)
-            .ok_or_else(|| Error::Shader {
-                file: format!("shaders/{}.wgsl", source.name),
-                line: 1,
-                problem: format!("no entry point {entry}"),
-            })?;
+        let point = module.entry_points.iter().find(|point| point.name == entry).ok_or_else(|| Error::Shader {
+            file: format!("shaders/{}.wgsl", source.name),
+            line: 1,
+            problem: format!("no entry point {entry}"),
+        })?;
         let threads = point.workgroup_size.iter().product();
         let mut layouter = naga::proc::Layouter::default();
-        layouter
-            .update(module.to_ctx())
-            .map_err(|error| Error::Shader {
-                file: format!("shaders/{}.wgsl", source.name),
-                line: 1,
-                problem: error.to_string(),
-            })?;
+        layouter.update(module.to_ctx()).map_err(|error| Error::Shader {
+            file: format!("shaders/{}.wgsl", source.name),
+            line: 1,
+            problem: error.to_string(),
+        })?;
         let mut slots: Vec<Slot> = module
             .global_variables
             .iter()
             .filter_map(|(_, variable)| {
                 let binding = variable.binding?;
                 let read_only = match variable.space {
-                    naga::AddressSpace::Storage { access } => {
-                        !access.contains(naga::StorageAccess::STORE)
-                    }
+                    naga::AddressSpace::Storage { access } => !access.contains(naga::StorageAccess::STORE),
                     _ => true,
                 };
                 let stride = match module.types[variable.ty].inner {
@@ -296,9 +257,7 @@ impl Program {
                     ty: if slot.uniform {
                         wgpu::BufferBindingType::Uniform
                     } else {
-                        wgpu::BufferBindingType::Storage {
-                            read_only: slot.read_only,
-                        }
+                        wgpu::BufferBindingType::Storage { read_only: slot.read_only }
                     },
                     has_dynamic_offset: false,
                     min_binding_size: None,
@@ -309,17 +268,12 @@ impl Program {
         let label = source.name;
         let layout = open
             .device
-            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-                label: Some(label),
-                entries: &entries,
-            });
-        let pipeline_layout = open
-            .device
-            .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                label: Some(label),
-                bind_group_layouts: &[Some(&layout)],
-                immediate_size: 0,
-            });
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries });
+        let pipeline_layout = open.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(label),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
         let device = open.device.clone();
         let pipeline = Pipeline::compile(move || {
             let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -335,12 +289,7 @@ impl Program {
                 cache: None,
             })
         });
-        Ok(Program {
-            pipeline,
-            layout,
-            slots: slots.into(),
-            threads,
-        })
+        Ok(Program { pipeline, layout, slots: slots.into(), threads })
     }
 }
 

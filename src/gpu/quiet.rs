@@ -44,13 +44,11 @@ impl Filter {
         let to = std::fs::File::from(stderr.try_clone()?);
         let (reader, writer) = std::io::pipe()?;
         let (done, forwarded) = std::sync::mpsc::channel();
-        std::thread::Builder::new()
-            .name("stderr".to_owned())
-            .spawn(move || {
-                // Standard error itself failed: the error cannot be reported.
-                let _ = forward(std::io::BufReader::new(reader), to);
-                let _ = done.send(());
-            })?;
+        std::thread::Builder::new().name("stderr".to_owned()).spawn(move || {
+            // Standard error itself failed: the error cannot be reported.
+            let _ = forward(std::io::BufReader::new(reader), to);
+            let _ = done.send(());
+        })?;
         rustix::stdio::dup2_stderr(&writer)?;
         Ok(Filter { stderr, forwarded })
     }
@@ -61,9 +59,7 @@ impl Drop for Filter {
     fn drop(&mut self) {
         // Closes the pipe's last writer, unless a driver has started a process that inherited it.
         let _ = rustix::stdio::dup2_stderr(&self.stderr);
-        let _ = self
-            .forwarded
-            .recv_timeout(std::time::Duration::from_millis(200));
+        let _ = self.forwarded.recv_timeout(std::time::Duration::from_millis(200));
     }
 }
 

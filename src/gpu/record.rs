@@ -11,11 +11,7 @@ pub const SPLIT: u32 = 32768;
 
 /// Workgroup counts of a dispatch of `n` workgroups.
 pub fn groups(n: u32) -> [u32; 3] {
-    if n <= SPLIT {
-        [n, 1, 1]
-    } else {
-        [SPLIT, n.div_ceil(SPLIT), 1]
-    }
+    if n <= SPLIT { [n, 1, 1] } else { [SPLIT, n.div_ceil(SPLIT), 1] }
 }
 
 /// Seconds per stage of a submission, by label, in order.
@@ -49,23 +45,14 @@ impl Timer {
                 mapped_at_creation: false,
             }))
         };
-        let resolved = make(
-            "gpu.times",
-            wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-        );
-        let times = make(
-            "gpu.times (read-back)",
-            wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-        );
+        let resolved = make("gpu.times", wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC);
+        let times = make("gpu.times (read-back)", wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST);
         Some(Timer {
-            set: gpu
-                .open()?
-                .device
-                .create_query_set(&wgpu::QuerySetDescriptor {
-                    label: Some("gpu.times"),
-                    ty: wgpu::QueryType::Timestamp,
-                    count: 2 * TIMED_STAGES,
-                }),
+            set: gpu.open()?.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("gpu.times"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * TIMED_STAGES,
+            }),
             resolved: resolved?,
             times: times?,
         })
@@ -107,19 +94,10 @@ pub struct Pass<'a> {
 impl Recorder {
     /// An empty recording.
     pub fn new(gpu: &Gpu) -> Recorder {
-        let descriptor = wgpu::CommandEncoderDescriptor {
-            label: Some("cutwater"),
-        };
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("cutwater") };
         let open = gpu.open();
         let encoder = open.map(|open| open.device.create_command_encoder(&descriptor));
-        Recorder {
-            gpu: gpu.clone(),
-            encoder,
-            timer: None,
-            stages: Vec::new(),
-            dispatches: Vec::new(),
-            bytes_down: 0,
-        }
+        Recorder { gpu: gpu.clone(), encoder, timer: None, stages: Vec::new(), dispatches: Vec::new(), bytes_down: 0 }
     }
 
     /// An empty recording with timed stages, if the adapter supports timestamps.
@@ -134,11 +112,8 @@ impl Recorder {
     /// Records the dispatches of a stage as one pass.
     pub fn stage<R>(&mut self, stage: &'static str, record: impl FnOnce(&mut Pass) -> R) -> R {
         let index = self.stages.len() as u32;
-        let timestamp_writes = self
-            .timer
-            .as_ref()
-            .filter(|_| index < TIMED_STAGES)
-            .map(|timer| wgpu::ComputePassTimestampWrites {
+        let timestamp_writes =
+            self.timer.as_ref().filter(|_| index < TIMED_STAGES).map(|timer| wgpu::ComputePassTimestampWrites {
                 query_set: &timer.set,
                 beginning_of_pass_write_index: Some(2 * index),
                 end_of_pass_write_index: Some(2 * index + 1),
@@ -146,17 +121,10 @@ impl Recorder {
         if timestamp_writes.is_some() {
             self.stages.push(stage);
         }
-        let descriptor = wgpu::ComputePassDescriptor {
-            label: Some(stage),
-            timestamp_writes,
-        };
+        let descriptor = wgpu::ComputePassDescriptor { label: Some(stage), timestamp_writes };
         let encoder = self.encoder.as_mut();
         let raw = encoder.map(|encoder| encoder.begin_compute_pass(&descriptor));
-        let mut pass = Pass {
-            raw,
-            stage,
-            dispatches: &mut self.dispatches,
-        };
+        let mut pass = Pass { raw, stage, dispatches: &mut self.dispatches };
         record(&mut pass)
     }
 
@@ -173,22 +141,11 @@ impl Recorder {
 
     /// Copies a buffer to another of the same type and length.
     pub fn copy<T: Pod>(&mut self, from: &Buffer<T>, to: &Buffer<T>) {
-        assert_eq!(
-            from.len(),
-            to.len(),
-            "copy of {} to {}",
-            from.label(),
-            to.label()
-        );
+        assert_eq!(from.len(), to.len(), "copy of {} to {}", from.label(), to.label());
         self.copy_bytes((&from.raw, 0), &to.raw, from.bytes());
     }
 
-    fn copy_bytes(
-        &mut self,
-        (from, start): (&Option<wgpu::Buffer>, u64),
-        to: &Option<wgpu::Buffer>,
-        bytes: u64,
-    ) {
+    fn copy_bytes(&mut self, (from, start): (&Option<wgpu::Buffer>, u64), to: &Option<wgpu::Buffer>, bytes: u64) {
         if let (Some(encoder), Some(from), Some(to)) = (&mut self.encoder, from, to) {
             encoder.copy_buffer_to_buffer(from, start, to, 0, Some(bytes));
         }
@@ -223,11 +180,7 @@ impl Recorder {
             open.queue.submit([encoder.finish()]);
         }
         self.gpu.meter.submitted(&self.dispatches, self.bytes_down);
-        Timing {
-            gpu: self.gpu,
-            stages: self.stages,
-            timer: self.timer,
-        }
+        Timing { gpu: self.gpu, stages: self.stages, timer: self.timer }
     }
 }
 
@@ -248,18 +201,12 @@ enum Extent {
 impl Bound {
     /// At least `threads` threads.
     pub fn threads(self, threads: usize) -> Dispatch {
-        Dispatch {
-            bound: self,
-            extent: Extent::Threads(threads),
-        }
+        Dispatch { bound: self, extent: Extent::Threads(threads) }
     }
 
     /// The workgroups in `args[4 slot..]`: x, y, z, then the list's length, which kernels can read.
     pub fn indirect(self, args: &Buffer<u32>, slot: usize) -> Dispatch {
-        Dispatch {
-            bound: self,
-            extent: Extent::Indirect(args.raw.clone(), slot),
-        }
+        Dispatch { bound: self, extent: Extent::Indirect(args.raw.clone(), slot) }
     }
 }
 
@@ -281,11 +228,7 @@ enum Transfer {
 impl Dispatches {
     /// Dispatches of a stage.
     pub fn new(stage: &'static str, list: impl IntoIterator<Item = Dispatch>) -> Dispatches {
-        Dispatches {
-            stage,
-            transfers: Vec::new(),
-            list: list.into_iter().collect(),
-        }
+        Dispatches { stage, transfers: Vec::new(), list: list.into_iter().collect() }
     }
 
     /// Sets a buffer to zero before the dispatches.
@@ -322,11 +265,7 @@ impl Dispatches {
 
     /// Records the dispatches in a pass.
     pub fn record_in(&self, pass: &mut Pass) {
-        debug_assert!(
-            self.transfers.is_empty(),
-            "{}: a pass has no transfers",
-            self.stage
-        );
+        debug_assert!(self.transfers.is_empty(), "{}: a pass has no transfers", self.stage);
         pass.run(&self.list);
     }
 }
@@ -394,19 +333,13 @@ impl Timing {
         let view = timer
             .times
             .get_mapped_range(..)
-            .map_err(|error| crate::Error::Gpu {
-                during: "stage times".to_owned(),
-                problem: error.to_string(),
-            })?;
+            .map_err(|error| crate::Error::Gpu { during: "stage times".to_owned(), problem: error.to_string() })?;
         let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&view);
         drop(view);
         timer.times.unmap();
         let period = f64::from(open.queue.get_timestamp_period()) * 1e-9;
         let seconds = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * period;
-        Ok(stages
-            .into_iter()
-            .zip(ticks.chunks_exact(2).map(seconds))
-            .collect())
+        Ok(stages.into_iter().zip(ticks.chunks_exact(2).map(seconds)).collect())
     }
 }
 

@@ -186,11 +186,7 @@ impl Composed {
 
     fn error(&self, line: usize, problem: String) -> Error {
         let (file, line) = self.origin(line);
-        Error::Shader {
-            file,
-            line,
-            problem,
-        }
+        Error::Shader { file, line, problem }
     }
 }
 
@@ -208,21 +204,14 @@ pub struct Variant {
 
 impl From<Real> for Variant {
     fn from(real: Real) -> Variant {
-        Variant {
-            real,
-            inner: real,
-            moving_obstacles: false,
-        }
+        Variant { real, inner: real, moving_obstacles: false }
     }
 }
 
 impl Variant {
     /// The same variant for moving or static obstacles.
     pub fn beside_obstacles(self, moving_obstacles: bool) -> Variant {
-        Variant {
-            moving_obstacles,
-            ..self
-        }
+        Variant { moving_obstacles, ..self }
     }
 }
 
@@ -231,20 +220,12 @@ impl Variant {
 /// # Errors
 /// [`Error::Shader`] for an unknown module.
 pub fn compose(source: &Source, variant: impl Into<Variant>) -> Result<Composed, Error> {
-    let mut composed = Composed {
-        text: String::new(),
-        lines: Vec::new(),
-    };
+    let mut composed = Composed { text: String::new(), lines: Vec::new() };
     include(&mut composed, &mut Vec::new(), *source, variant.into())?;
     Ok(composed)
 }
 
-fn include(
-    out: &mut Composed,
-    done: &mut Vec<&'static str>,
-    source: Source,
-    variant: Variant,
-) -> Result<(), Error> {
+fn include(out: &mut Composed, done: &mut Vec<&'static str>, source: Source, variant: Variant) -> Result<(), Error> {
     for (index, line) in source.text.lines().enumerate() {
         if let Some(name) = line.strip_prefix("#import ") {
             let module_name = match name.trim() {
@@ -254,14 +235,11 @@ fn include(
                 "obstacles" => "common/obstacles_still".to_owned(),
                 name => format!("common/{name}"),
             };
-            let module = COMMON
-                .iter()
-                .find(|module| module.name == module_name)
-                .ok_or_else(|| Error::Shader {
-                    file: format!("shaders/{}.wgsl", source.name),
-                    line: index + 1,
-                    problem: format!("no module shaders/{module_name}.wgsl"),
-                })?;
+            let module = COMMON.iter().find(|module| module.name == module_name).ok_or_else(|| Error::Shader {
+                file: format!("shaders/{}.wgsl", source.name),
+                line: index + 1,
+                problem: format!("no module shaders/{module_name}.wgsl"),
+            })?;
             if !done.contains(&module.name) {
                 done.push(module.name);
                 include(out, done, *module, variant)?;
@@ -278,40 +256,30 @@ fn include(
 /// Parses a composed shader. Errors name file and line.
 pub(super) fn parse(composed: &Composed) -> Result<naga::Module, Error> {
     naga::front::wgsl::parse_str(&composed.text).map_err(|error| {
-        let line = error
-            .location(&composed.text)
-            .map_or(1, |location| location.line_number as usize);
+        let line = error.location(&composed.text).map_or(1, |location| location.line_number as usize);
         composed.error(line, error.to_string())
     })
 }
 
 /// Parses and validates a composed shader with the capabilities of its variant, without a device. Errors name file
 /// and line, which device errors do not.
-pub fn validate(
-    composed: &Composed,
-    variant: impl Into<Variant>,
-) -> Result<(naga::Module, ModuleInfo), Error> {
+pub fn validate(composed: &Composed, variant: impl Into<Variant>) -> Result<(naga::Module, ModuleInfo), Error> {
     let variant = variant.into();
     let module = parse(composed)?;
     let mut capabilities = Capabilities::empty();
     if variant.real == Real::F64 || variant.inner == Real::F64 {
         capabilities |= Capabilities::FLOAT64;
     }
-    let info = Validator::new(ValidationFlags::all(), capabilities)
-        .validate(&module)
-        .map_err(|error| {
-            let line = error
-                .location(&composed.text)
-                .map_or(1, |location| location.line_number as usize);
-            let mut problem = error.as_inner().to_string();
-            let mut cause: Option<&dyn std::error::Error> =
-                std::error::Error::source(error.as_inner());
-            while let Some(inner) = cause {
-                problem.push_str(": ");
-                problem.push_str(&inner.to_string());
-                cause = inner.source();
-            }
-            composed.error(line, problem)
-        })?;
+    let info = Validator::new(ValidationFlags::all(), capabilities).validate(&module).map_err(|error| {
+        let line = error.location(&composed.text).map_or(1, |location| location.line_number as usize);
+        let mut problem = error.as_inner().to_string();
+        let mut cause: Option<&dyn std::error::Error> = std::error::Error::source(error.as_inner());
+        while let Some(inner) = cause {
+            problem.push_str(": ");
+            problem.push_str(&inner.to_string());
+            cause = inner.source();
+        }
+        composed.error(line, problem)
+    })?;
     Ok((module, info))
 }

@@ -92,17 +92,10 @@ impl Sort {
         let chunks = ("chunks", scratch.into());
         // Two passes per byte, so the result ends in the first list.
         let passes = (0..2 * bits.div_ceil(8)).map(|pass| {
-            let radix = SortPass {
-                shift: DIGIT_BITS * pass,
-                args: 4 * slot as u32,
-            };
+            let radix = SortPass { shift: DIGIT_BITS * pass, args: 4 * slot as u32 };
             let radix = gpu.uniform("sort.radix", &radix)?;
             let radix = ("radix", (&radix).into());
-            let [from, to] = if pass.is_multiple_of(2) {
-                [entries, spare]
-            } else {
-                [spare, entries]
-            };
+            let [from, to] = if pass.is_multiple_of(2) { [entries, spare] } else { [spare, entries] };
             let keys = ("keys", from.keys.into());
             let scatter = [
                 radix,
@@ -114,29 +107,16 @@ impl Sort {
                 ("values_out", to.values.into()),
             ];
             Ok([
-                kernels
-                    .count
-                    .bind(gpu, &[radix, lists, keys, chunks], &[])?,
+                kernels.count.bind(gpu, &[radix, lists, keys, chunks], &[])?,
                 kernels.scan.bind(gpu, &[radix, lists, chunks], &[])?,
                 kernels.scatter.bind(gpu, &scatter, &[])?,
             ])
         });
         let passes = passes.collect::<Result<_, Error>>()?;
-        let radix = SortPass {
-            shift: 0,
-            args: 4 * slot as u32,
-        };
+        let radix = SortPass { shift: 0, args: 4 * slot as u32 };
         let radix = gpu.uniform("sort.radix", &radix)?;
-        let begin = [
-            ("radix", (&radix).into()),
-            lists,
-            ("tile_args", (&tile_args).into()),
-        ];
-        Ok(Sort {
-            begin: kernels.begin.bind(gpu, &begin, &[])?,
-            tile_args,
-            passes,
-        })
+        let begin = [("radix", (&radix).into()), lists, ("tile_args", (&tile_args).into())];
+        Ok(Sort { begin: kernels.begin.bind(gpu, &begin, &[])?, tile_args, passes })
     }
 
     /// Records the dispatches.

@@ -63,9 +63,7 @@ struct Counters {
 
 impl Counters {
     fn idle_seconds(&self) -> f64 {
-        let now = self
-            .idle_since
-            .map_or(0.0, |start| start.elapsed().as_secs_f64());
+        let now = self.idle_since.map_or(0.0, |start| start.elapsed().as_secs_f64());
         self.traffic.idle_seconds + now
     }
 }
@@ -73,16 +71,11 @@ impl Counters {
 impl Meter {
     /// Applies an update. After a panic elsewhere (poisoned lock) the counts no longer matter.
     fn with<R: Default>(&self, update: impl FnOnce(&mut Counters) -> R) -> R {
-        self.0
-            .lock()
-            .map_or_else(|_| R::default(), |mut counters| update(&mut counters))
+        self.0.lock().map_or_else(|_| R::default(), |mut counters| update(&mut counters))
     }
 
     pub(super) fn traffic(&self) -> Traffic {
-        self.with(|counters| Traffic {
-            idle_seconds: counters.idle_seconds(),
-            ..counters.traffic
-        })
+        self.with(|counters| Traffic { idle_seconds: counters.idle_seconds(), ..counters.traffic })
     }
 
     pub(super) fn start_trace(&self) {
@@ -90,8 +83,7 @@ impl Meter {
     }
 
     pub(super) fn take_trace(&self) -> Trace {
-        self.with(|counters| counters.trace.take())
-            .unwrap_or_default()
+        self.with(|counters| counters.trace.take()).unwrap_or_default()
     }
 
     pub(super) fn uploaded(&self, bytes: u64) {

@@ -31,10 +31,7 @@ impl SymbolicCholesky {
             Default::default(),
         )
         .map_err(|problem| failed(matrix, format!("cannot be ordered: {problem:?}")))?;
-        Ok(SymbolicCholesky {
-            factor,
-            n_entries: matrix.n_entries(),
-        })
+        Ok(SymbolicCholesky { factor, n_entries: matrix.n_entries() })
     }
 
     /// Number of stored entries of the factor; 8 bytes each.
@@ -57,9 +54,7 @@ impl SymbolicCholesky {
     pub fn factorise_quasi_definite(&self, matrix: &Csr) -> Result<QuasiDefinite<'_>, Error> {
         self.ensure_pattern(matrix);
         let mut values = vec![0.0; self.factor.len_val()];
-        let scratch = self
-            .factor
-            .factorize_numeric_ldlt_scratch::<f64>(PAR, Default::default());
+        let scratch = self.factor.factorize_numeric_ldlt_scratch::<f64>(PAR, Default::default());
         self.factor
             .factorize_numeric_ldlt(
                 &mut values,
@@ -71,26 +66,17 @@ impl SymbolicCholesky {
                 Default::default(),
             )
             .map_err(|problem| failed(matrix, format!("is singular: {problem:?}")))?;
-        Ok(QuasiDefinite {
-            symbolic: self,
-            values,
-        })
+        Ok(QuasiDefinite { symbolic: self, values })
     }
 
     fn ensure_pattern(&self, matrix: &Csr) {
-        assert_eq!(
-            matrix.n_entries(),
-            self.n_entries,
-            "the matrix has the pattern that was ordered"
-        );
+        assert_eq!(matrix.n_entries(), self.n_entries, "the matrix has the pattern that was ordered");
     }
 
     fn factorise_on(&self, matrix: &Csr, par: Par) -> Result<Cholesky<'_>, Error> {
         self.ensure_pattern(matrix);
         let mut values = vec![0.0; self.factor.len_val()];
-        let scratch = self
-            .factor
-            .factorize_numeric_llt_scratch::<f64>(par, Default::default());
+        let scratch = self.factor.factorize_numeric_llt_scratch::<f64>(par, Default::default());
         self.factor
             .factorize_numeric_llt(
                 &mut values,
@@ -102,10 +88,7 @@ impl SymbolicCholesky {
                 Default::default(),
             )
             .map_err(|problem| failed(matrix, format!("is not positive definite: {problem:?}")))?;
-        Ok(Cholesky {
-            symbolic: self,
-            values,
-        })
+        Ok(Cholesky { symbolic: self, values })
     }
 }
 
@@ -159,11 +142,7 @@ impl QuasiDefinite<'_> {
 }
 
 fn view(matrix: &Csr) -> SparseColMatRef<'_, usize, f64> {
-    assert_eq!(
-        matrix.n_rows(),
-        matrix.n_columns(),
-        "a Cholesky factorisation needs a square matrix"
-    );
+    assert_eq!(matrix.n_rows(), matrix.n_columns(), "a Cholesky factorisation needs a square matrix");
     matrix.transposed_view()
 }
 

@@ -196,14 +196,7 @@ pub fn stabilised_biconjugate_gradient(
 
 impl CgReport {
     pub(super) fn new(iterations: usize, end: CgEnd, x: &[f64]) -> CgReport {
-        CgReport {
-            iterations,
-            end: if x.iter().all(|v| v.is_finite()) {
-                end
-            } else {
-                CgEnd::Breakdown
-            },
-        }
+        CgReport { iterations, end: if x.iter().all(|v| v.is_finite()) { end } else { CgEnd::Breakdown } }
     }
 }
 
@@ -229,35 +222,15 @@ impl LinOp<f64> for Wrapped<'_> {
         self.0.size()
     }
 
-    fn apply(
-        &self,
-        mut out: MatMut<'_, f64>,
-        rhs: MatRef<'_, f64>,
-        _par: Par,
-        _stack: &mut MemStack,
-    ) {
+    fn apply(&self, mut out: MatMut<'_, f64>, rhs: MatRef<'_, f64>, _par: Par, _stack: &mut MemStack) {
         for j in 0..rhs.ncols() {
-            let x = rhs
-                .col(j)
-                .try_as_col_major()
-                .expect("faer's work matrices are column major")
-                .as_slice();
-            let y = out
-                .as_mut()
-                .col_mut(j)
-                .try_as_col_major_mut()
-                .expect("faer's work matrices are column major");
+            let x = rhs.col(j).try_as_col_major().expect("faer's work matrices are column major").as_slice();
+            let y = out.as_mut().col_mut(j).try_as_col_major_mut().expect("faer's work matrices are column major");
             self.0.apply(x, y.as_slice_mut());
         }
     }
 
-    fn conj_apply(
-        &self,
-        out: MatMut<'_, f64>,
-        rhs: MatRef<'_, f64>,
-        par: Par,
-        stack: &mut MemStack,
-    ) {
+    fn conj_apply(&self, out: MatMut<'_, f64>, rhs: MatRef<'_, f64>, par: Par, stack: &mut MemStack) {
         self.apply(out, rhs, par, stack);
     }
 }

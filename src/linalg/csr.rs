@@ -27,10 +27,7 @@ impl Csr {
         triplets: impl IntoIterator<Item = (usize, usize, f64)>,
     ) -> Result<Csr, Error> {
         let mut sorted: Vec<_> = triplets.into_iter().collect();
-        if let Some((row, column, _)) = sorted
-            .iter()
-            .find(|(row, column, _)| *row >= n_rows || *column >= n_columns)
-        {
+        if let Some((row, column, _)) = sorted.iter().find(|(row, column, _)| *row >= n_rows || *column >= n_columns) {
             return Err(Error::input(
                 format!("matrix entry ({row}, {column})"),
                 format!("lies outside the {n_rows} x {n_columns} matrix"),
@@ -39,21 +36,13 @@ impl Csr {
         }
         // Stable, so that sums are bitwise reproducible.
         sorted.sort_by_key(|&(row, column, _)| (row, column));
-        let mut matrix = Csr {
-            n_columns,
-            row_start: vec![0],
-            columns: Vec::new(),
-            values: Vec::new(),
-        };
+        let mut matrix = Csr { n_columns, row_start: vec![0], columns: Vec::new(), values: Vec::new() };
         let mut entries = sorted.into_iter().peekable();
         for row in 0..n_rows {
             let start = matrix.columns.len();
             while let Some((_, column, value)) = entries.next_if(|entry| entry.0 == row) {
                 if matrix.columns.len() > start && matrix.columns.last() == Some(&column) {
-                    *matrix
-                        .values
-                        .last_mut()
-                        .expect("there is one value per column") += value;
+                    *matrix.values.last_mut().expect("there is one value per column") += value;
                 } else {
                     matrix.columns.push(column);
                     matrix.values.push(value);
@@ -65,24 +54,14 @@ impl Csr {
     }
 
     /// Builds a matrix by rows; `fill` pushes the entries of a row with ascending columns.
-    pub fn from_rows(
-        n_rows: usize,
-        n_columns: usize,
-        mut fill: impl FnMut(usize, &mut Vec<(usize, f64)>),
-    ) -> Csr {
-        let mut matrix = Csr {
-            n_columns,
-            row_start: vec![0],
-            columns: Vec::new(),
-            values: Vec::new(),
-        };
+    pub fn from_rows(n_rows: usize, n_columns: usize, mut fill: impl FnMut(usize, &mut Vec<(usize, f64)>)) -> Csr {
+        let mut matrix = Csr { n_columns, row_start: vec![0], columns: Vec::new(), values: Vec::new() };
         let mut entries = Vec::new();
         for row in 0..n_rows {
             entries.clear();
             fill(row, &mut entries);
             assert!(
-                entries.windows(2).all(|pair| pair[0].0 < pair[1].0)
-                    && entries.last().is_none_or(|e| e.0 < n_columns),
+                entries.windows(2).all(|pair| pair[0].0 < pair[1].0) && entries.last().is_none_or(|e| e.0 < n_columns),
                 "columns of row {row} ascend and lie inside the matrix"
             );
             matrix.columns.extend(entries.iter().map(|e| e.0));
@@ -110,18 +89,12 @@ impl Csr {
     /// The (column, value) pairs of a row, columns ascending.
     pub fn row(&self, row: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let range = self.row_start[row]..self.row_start[row + 1];
-        self.columns[range.clone()]
-            .iter()
-            .copied()
-            .zip(self.values[range].iter().copied())
+        self.columns[range.clone()].iter().copied().zip(self.values[range].iter().copied())
     }
 
     /// All entries as (row, column, value), by rows.
     pub fn triplets(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {
-        (0..self.n_rows()).flat_map(|row| {
-            self.row(row)
-                .map(move |(column, value)| (row, column, value))
-        })
+        (0..self.n_rows()).flat_map(|row| self.row(row).map(move |(column, value)| (row, column, value)))
     }
 
     /// The entry at a position; 0 if it is not stored.
@@ -137,12 +110,9 @@ impl Csr {
     pub fn multiply(&self, x: &[f64], y: &mut [f64]) {
         assert_eq!(x.len(), self.n_columns, "x has one entry per column");
         assert_eq!(y.len(), self.n_rows(), "y has one entry per row");
-        y.par_iter_mut()
-            .with_min_len(4096)
-            .enumerate()
-            .for_each(|(row, out)| {
-                *out = self.row(row).map(|(column, value)| value * x[column]).sum();
-            });
+        y.par_iter_mut().with_min_len(4096).enumerate().for_each(|(row, out)| {
+            *out = self.row(row).map(|(column, value)| value * x[column]).sum();
+        });
     }
 
     /// The diagonal.
@@ -152,11 +122,8 @@ impl Csr {
 
     /// The transpose.
     pub fn transpose(&self) -> Csr {
-        let entries = self
-            .triplets()
-            .map(|(row, column, value)| (column, row, value));
-        Csr::from_triplets(self.n_columns, self.n_rows(), entries)
-            .expect("places of a matrix lie inside its transpose")
+        let entries = self.triplets().map(|(row, column, value)| (column, row, value));
+        Csr::from_triplets(self.n_columns, self.n_rows(), entries).expect("places of a matrix lie inside its transpose")
     }
 
     /// The product A B; an error if it does not fit into memory.
@@ -184,11 +151,7 @@ impl Csr {
         );
         Csr::from_rows(self.n_rows(), self.n_columns, |row, entries| {
             entries.extend(self.row(row));
-            entries.extend(
-                other
-                    .row(row)
-                    .map(|(column, value)| (column, factor * value)),
-            );
+            entries.extend(other.row(row).map(|(column, value)| (column, factor * value)));
             entries.sort_by_key(|entry| entry.0);
             entries.dedup_by(|next, kept| {
                 let same = next.0 == kept.0;
@@ -222,19 +185,14 @@ impl Csr {
             }
             Some(below) => {
                 entries.extend(transposed.row(below));
-                entries.extend(
-                    d.row(below)
-                        .map(|(column, value)| (n + column, sign * value)),
-                );
+                entries.extend(d.row(below).map(|(column, value)| (n + column, sign * value)));
             }
         })
     }
 
     /// A diagonal matrix.
     pub fn diagonal_of(values: &[f64]) -> Csr {
-        Csr::from_rows(values.len(), values.len(), |row, entries| {
-            entries.push((row, values[row]))
-        })
+        Csr::from_rows(values.len(), values.len(), |row, entries| entries.push((row, values[row])))
     }
 
     /// Square root of the sum of squared entries.
@@ -244,34 +202,20 @@ impl Csr {
 
     /// Largest sum of absolute values of a row.
     pub fn infinity_norm(&self) -> f64 {
-        (0..self.n_rows())
-            .map(|row| self.row(row).map(|(_, value)| value.abs()).sum())
-            .fold(0.0, f64::max)
+        (0..self.n_rows()).map(|row| self.row(row).map(|(_, value)| value.abs()).sum()).fold(0.0, f64::max)
     }
 
     /// Largest |a_ij - a_ji|; 0 for a symmetric matrix.
     pub fn asymmetry(&self) -> f64 {
-        assert_eq!(
-            self.n_rows(),
-            self.n_columns,
-            "only a square matrix can be symmetric"
-        );
-        self.triplets()
-            .map(|(row, column, value)| (value - self.get(column, row)).abs())
-            .fold(0.0, f64::max)
+        assert_eq!(self.n_rows(), self.n_columns, "only a square matrix can be symmetric");
+        self.triplets().map(|(row, column, value)| (value - self.get(column, row)).abs()).fold(0.0, f64::max)
     }
 
     /// The transpose by columns, for faer: the same arrays.
     pub(super) fn transposed_view(&self) -> SparseColMatRef<'_, usize, f64> {
         let (n_rows, n_columns) = (self.n_columns, self.n_rows());
         SparseColMatRef::new(
-            SymbolicSparseColMatRef::new_checked(
-                n_rows,
-                n_columns,
-                &self.row_start,
-                None,
-                &self.columns,
-            ),
+            SymbolicSparseColMatRef::new_checked(n_rows, n_columns, &self.row_start, None, &self.columns),
             &self.values,
         )
     }

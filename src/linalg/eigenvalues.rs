@@ -45,10 +45,7 @@ pub fn largest_magnitude(matrix: &Csr) -> Result<f64, Error> {
     // faer's tolerance is absolute; this norm bounds all eigenvalues.
     let scale = matrix.infinity_norm();
     let scaled = matrix.clone().scaled(&vec![1.0 / scale; n], &vec![1.0; n]);
-    let params = PartialEigenParams {
-        max_restarts: MAX_RESTARTS,
-        ..PartialEigenParams::default()
-    };
+    let params = PartialEigenParams { max_restarts: MAX_RESTARTS, ..PartialEigenParams::default() };
     let operator = Wrapped(&scaled);
     let scratch = eigen::partial_self_adjoint_eigen_scratch(&operator, 1, Par::Seq, params);
     let mut vector = Mat::zeros(n, 1);

@@ -68,11 +68,7 @@ impl Incomplete {
             inverse.push(1.0 / pivot);
             rows.push(row);
         }
-        Some(Incomplete {
-            factor: Csr::from_rows(n, n, |row, entries| entries.append(&mut rows[row])),
-            inverse,
-            shift,
-        })
+        Some(Incomplete { factor: Csr::from_rows(n, n, |row, entries| entries.append(&mut rows[row])), inverse, shift })
     }
 }
 

@@ -23,20 +23,10 @@ pub fn matrix_text(matrix: &Csr, symmetry: Symmetry, comment: &str) -> String {
         Symmetry::General => ("general", false),
         Symmetry::Symmetric => ("symmetric", true),
     };
-    let stored = || {
-        matrix
-            .triplets()
-            .filter(move |(row, column, _)| !lower || row >= column)
-    };
+    let stored = || matrix.triplets().filter(move |(row, column, _)| !lower || row >= column);
     let mut text = format!("%%MatrixMarket matrix coordinate real {name}\n");
     push_comment(&mut text, comment);
-    let _ = writeln!(
-        text,
-        "{} {} {}",
-        matrix.n_rows(),
-        matrix.n_columns(),
-        stored().count()
-    );
+    let _ = writeln!(text, "{} {} {}", matrix.n_rows(), matrix.n_columns(), stored().count());
     for (row, column, value) in stored() {
         let _ = writeln!(text, "{} {} {value:.17e}", row + 1, column + 1);
     }
@@ -62,18 +52,14 @@ pub fn read_matrix(path: &Path) -> Result<Csr, Error> {
         "general" => false,
         "symmetric" => true,
         other => {
-            return Err(file.error(
-                &format!("symmetry `{other}` is not supported"),
-                "use general or symmetric",
-            ));
+            return Err(file.error(&format!("symmetry `{other}` is not supported"), "use general or symmetric"));
         }
     };
     let [n_rows, n_columns, n_entries] = file.numbers::<usize, 3>("rows columns entries")?;
     if symmetric && n_rows != n_columns {
-        return Err(file.error(
-            &format!("a symmetric matrix cannot be {n_rows} x {n_columns}"),
-            "correct the size line",
-        ));
+        return Err(
+            file.error(&format!("a symmetric matrix cannot be {n_rows} x {n_columns}"), "correct the size line")
+        );
     }
     let mut triplets = Vec::new();
     for _ in 0..n_entries {
@@ -81,13 +67,11 @@ pub fn read_matrix(path: &Path) -> Result<Csr, Error> {
         let (row, column) = (file.number::<usize>(row)?, file.number::<usize>(column)?);
         let value = file.number::<f64>(value)?;
         if !(1..=n_rows).contains(&row) || !(1..=n_columns).contains(&column) {
-            let problem =
-                format!("entry ({row}, {column}) lies outside the {n_rows} x {n_columns} matrix");
+            let problem = format!("entry ({row}, {column}) lies outside the {n_rows} x {n_columns} matrix");
             return Err(file.error(&problem, "rows and columns count from 1"));
         }
         if symmetric && column > row {
-            let problem =
-                format!("entry ({row}, {column}) lies above the diagonal of a symmetric matrix");
+            let problem = format!("entry ({row}, {column}) lies above the diagonal of a symmetric matrix");
             return Err(file.error(&problem, "store the lower triangle only"));
         }
         triplets.push((row - 1, column - 1, value));
@@ -104,17 +88,11 @@ pub fn read_vector(path: &Path) -> Result<Vec<f64>, Error> {
     let text = read(path)?;
     let mut file = Reader::new(path, &text, "array")?;
     if file.symmetry != "general" {
-        return Err(file.error(
-            "an array must be general",
-            "write `%%MatrixMarket matrix array real general`",
-        ));
+        return Err(file.error("an array must be general", "write `%%MatrixMarket matrix array real general`"));
     }
     let [n, n_columns] = file.numbers::<usize, 2>("rows columns")?;
     if n_columns != 1 {
-        return Err(file.error(
-            &format!("a vector cannot have {n_columns} columns"),
-            "give an n x 1 array",
-        ));
+        return Err(file.error(&format!("a vector cannot have {n_columns} columns"), "give an n x 1 array"));
     }
     let mut vector = Vec::new();
     for _ in 0..n {
@@ -126,11 +104,7 @@ pub fn read_vector(path: &Path) -> Result<Vec<f64>, Error> {
 
 fn read(path: &Path) -> Result<String, Error> {
     fs::read_to_string(path).map_err(|problem| {
-        Error::input(
-            path.display().to_string(),
-            problem.to_string(),
-            "give a readable Matrix Market file",
-        )
+        Error::input(path.display().to_string(), problem.to_string(), "give a readable Matrix Market file")
     })
 }
 
@@ -151,16 +125,8 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn new(path: &'a Path, text: &'a str, format: &str) -> Result<Reader<'a>, Error> {
-        let mut file = Reader {
-            path,
-            lines: text.lines().enumerate(),
-            line: 1,
-            symmetry: String::new(),
-        };
-        let banner = file
-            .lines
-            .next()
-            .map_or(String::new(), |(_, line)| line.to_ascii_lowercase());
+        let mut file = Reader { path, lines: text.lines().enumerate(), line: 1, symmetry: String::new() };
+        let banner = file.lines.next().map_or(String::new(), |(_, line)| line.to_ascii_lowercase());
         match banner.split_whitespace().collect::<Vec<_>>()[..] {
             ["%%matrixmarket", "matrix", kind, "real", symmetry] if kind == format => {
                 file.symmetry = symmetry.to_string();
@@ -174,49 +140,30 @@ impl<'a> Reader<'a> {
     }
 
     fn error(&self, problem: &str, cure: &str) -> Error {
-        Error::input(
-            format!("{}:{}", self.path.display(), self.line),
-            problem,
-            cure,
-        )
+        Error::input(format!("{}:{}", self.path.display(), self.line), problem, cure)
     }
 
     /// The next line that is neither blank nor a comment.
     fn next(&mut self) -> Option<&'a str> {
-        let (index, line) = self
-            .lines
-            .by_ref()
-            .find(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with('%'))?;
+        let (index, line) =
+            self.lines.by_ref().find(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with('%'))?;
         self.line = index + 1;
         Some(line)
     }
 
     fn fields<const N: usize>(&mut self, names: &str) -> Result<[&'a str; N], Error> {
         let Some(line) = self.next() else {
-            return Err(self.error(
-                &format!("the file ends where `{names}` should follow"),
-                "is the file cut off?",
-            ));
+            return Err(self.error(&format!("the file ends where `{names}` should follow"), "is the file cut off?"));
         };
         let fields: Vec<_> = line.split_whitespace().collect();
-        fields
-            .try_into()
-            .map_err(|_| self.error(&format!("`{line}` is not `{names}`"), "correct the line"))
+        fields.try_into().map_err(|_| self.error(&format!("`{line}` is not `{names}`"), "correct the line"))
     }
 
     fn number<T: std::str::FromStr>(&self, field: &str) -> Result<T, Error> {
-        field.parse().map_err(|_| {
-            self.error(
-                &format!("`{field}` is not a number of the right kind"),
-                "correct it",
-            )
-        })
+        field.parse().map_err(|_| self.error(&format!("`{field}` is not a number of the right kind"), "correct it"))
     }
 
-    fn numbers<T: std::str::FromStr + Copy + Default, const N: usize>(
-        &mut self,
-        names: &str,
-    ) -> Result<[T; N], Error> {
+    fn numbers<T: std::str::FromStr + Copy + Default, const N: usize>(&mut self, names: &str) -> Result<[T; N], Error> {
         let fields = self.fields::<N>(names)?;
         let mut numbers = [T::default(); N];
         for (number, field) in numbers.iter_mut().zip(fields) {
@@ -228,10 +175,7 @@ impl<'a> Reader<'a> {
     fn end(&mut self) -> Result<(), Error> {
         match self.next() {
             None => Ok(()),
-            Some(line) => Err(self.error(
-                &format!("`{line}` follows the last entry"),
-                "correct the entry count",
-            )),
+            Some(line) => Err(self.error(&format!("`{line}` follows the last entry"), "correct the entry count")),
         }
     }
 }

@@ -14,13 +14,10 @@ mod unilateral;
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
 pub use complementarity::{Complementarity, DenseCholesky, complementarity};
 pub use conjugate_gradient::{
-    CgEnd, CgReport, LinearOperator, conjugate_gradient, conjugate_gradient_with_test,
-    stabilised_biconjugate_gradient,
+    CgEnd, CgReport, LinearOperator, conjugate_gradient, conjugate_gradient_with_test, stabilised_biconjugate_gradient,
 };
 pub use csr::Csr;
-pub use eigenvalues::{
-    Solve, eigenvalues, inverse_one_norm, largest_magnitude, smallest_magnitude,
-};
+pub use eigenvalues::{Solve, eigenvalues, inverse_one_norm, largest_magnitude, smallest_magnitude};
 pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 pub use minimal_residual::minimal_residual;
@@ -33,10 +30,6 @@ pub fn norm(x: &[f64]) -> f64 {
 
 /// Scalar product, summed in order.
 pub fn dot(x: &[f64], y: &[f64]) -> f64 {
-    assert_eq!(
-        x.len(),
-        y.len(),
-        "both vectors of a dot product have one length"
-    );
+    assert_eq!(x.len(), y.len(), "both vectors of a dot product have one length");
     x.iter().zip(y).map(|(a, b)| a * b).sum()
 }

@@ -51,11 +51,7 @@ pub struct UnilateralRows {
 impl UnilateralRows {
     /// Computes X and W. `solve`: S^-1 of n components, 0 where they are prescribed; rows of prescribed components alone cannot be met and are
     /// dropped.
-    pub fn new(
-        rows: Vec<Row>,
-        n: usize,
-        solve: impl Fn(Vec<f64>) -> Vec<f64> + Sync,
-    ) -> UnilateralRows {
+    pub fn new(rows: Vec<Row>, n: usize, solve: impl Fn(Vec<f64>) -> Vec<f64> + Sync) -> UnilateralRows {
         let column = |row: &Row| {
             let mut force = vec![0.0; n];
             row.entries.iter().for_each(|&(at, n)| force[at] += n);
@@ -63,9 +59,8 @@ impl UnilateralRows {
         };
         let columns: Vec<Vec<f64>> = rows.par_iter().map(column).collect();
         let pairs = rows.into_iter().zip(columns);
-        let (rows, columns): (Vec<Row>, Vec<Vec<f64>>) = pairs
-            .filter(|(row, column)| row.product(column) > 0.0)
-            .unzip();
+        let (rows, columns): (Vec<Row>, Vec<Vec<f64>>) =
+            pairs.filter(|(row, column)| row.product(column) > 0.0).unzip();
         let n = rows.len();
         let mut matrix = vec![0.0; n * n];
         for i in 0..n {
@@ -75,11 +70,7 @@ impl UnilateralRows {
             }
             matrix[n * i + i] *= 1.0 + COMPLIANCE;
         }
-        UnilateralRows {
-            rows,
-            columns,
-            matrix,
-        }
+        UnilateralRows { rows, columns, matrix }
     }
 
     fn n(&self) -> usize {
@@ -115,11 +106,7 @@ impl UnilateralRows {
         let rows: Vec<usize> = (0..n).filter(|&i| held[i]).collect();
         let entry = |i: usize, j: usize| self.matrix[n * rows[i] + rows[j]];
         let factor = DenseCholesky::new(rows.len(), entry)?;
-        Some(HeldRows {
-            system: self,
-            rows,
-            factor,
-        })
+        Some(HeldRows { system: self, rows, factor })
     }
 }
 
@@ -160,9 +147,7 @@ impl HeldRows<'_> {
     pub fn add_velocity(&self, lambda: &[f64], v: &mut [f64]) {
         for &row in &self.rows {
             let column = self.system.columns[row].iter();
-            v.iter_mut()
-                .zip(column)
-                .for_each(|(v, x)| *v += lambda[row] * x);
+            v.iter_mut().zip(column).for_each(|(v, x)| *v += lambda[row] * x);
         }
     }
 
@@ -175,9 +160,8 @@ impl HeldRows<'_> {
     pub fn correction(&self, components: &[usize], factor: f64) -> [Vec<f64>; 2] {
         let n = self.rows.len();
         let columns = &self.system.columns;
-        let left: Vec<f64> = (components.iter())
-            .flat_map(|&at| self.rows.iter().map(move |&row| columns[row][at]))
-            .collect();
+        let left: Vec<f64> =
+            (components.iter()).flat_map(|&at| self.rows.iter().map(move |&row| columns[row][at])).collect();
         let mut right = left.clone();
         for row in right.chunks_exact_mut(n.max(1)) {
             self.factor.solve(row);
@@ -199,11 +183,7 @@ impl RowSearch {
     /// Begins with the rows that push, for the velocities without lambda and with the forces at hand.
     pub fn new(system: &UnilateralRows, v: &[f64]) -> RowSearch {
         let start = system.solve(v);
-        RowSearch {
-            held: start.z.iter().map(|&lambda| lambda > 0.0).collect(),
-            fewest: usize::MAX,
-            patience: PATIENCE,
-        }
+        RowSearch { held: start.z.iter().map(|&lambda| lambda > 0.0).collect(), fewest: usize::MAX, patience: PATIENCE }
     }
 
     /// Rows that are held.
@@ -214,12 +194,7 @@ impl RowSearch {
     /// Exchanges the wrong rows of a solution and returns how many there were, and whether any was exchanged. Rows that pull are wrong where no
     /// lambda >= 0 of the held rows has the same force: dependent rows share it in any way. After four times without fewer wrong rows none is
     /// let go any more: then one may pull.
-    pub fn exchange(
-        &mut self,
-        system: &UnilateralRows,
-        lambda: &[f64],
-        v: &[f64],
-    ) -> (usize, bool) {
+    pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64]) -> (usize, bool) {
         let n = system.n();
         let largest = v.iter().fold(0.0, |most, v| f64::max(most, v.abs()));
         let slacks = system.slacks(v);

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use crate::Error;
 use crate::elastic::Bounds;
 use crate::fields::{
-    CouplingBuffers, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers,
-    SolverBuffers, variant,
+    CouplingBuffers, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers, SolverBuffers, variant,
 };
 use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
 use crate::grid::{Axis, Grid};
@@ -55,11 +54,7 @@ pub struct DeviceScene<'a> {
 ///
 /// # Errors
 /// [`Error::Limit`] if the adapter is too small.
-pub(super) fn block_fields(
-    gpu: &Gpu,
-    block: &BaseBlock,
-    open: &[Vec<f64>; 3],
-) -> Result<[Buffer<f32>; 3], Error> {
+pub(super) fn block_fields(gpu: &Gpu, block: &BaseBlock, open: &[Vec<f64>; 3]) -> Result<[Buffer<f32>; 3], Error> {
     let (grid, padded) = (block.grid, block.grid.padded());
     let faces = |label, fields: &[Vec<f64>; 3]| {
         let values = Axis::ALL.iter().flat_map(|&axis| {
@@ -120,17 +115,13 @@ impl<'a> DeviceScene<'a> {
                 value: (pair.value / area).as_vec3().to_array(),
             })
             .collect();
-        let size = CouplingSize {
-            quads: pairs.len(),
-            pairs: pairs.len(),
-        };
+        let size = CouplingSize { quads: pairs.len(), pairs: pairs.len() };
         let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size)?;
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
         let bounds = Bounds::new(&scene.solids);
         let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
-        let unlimited = bounds.unlimited_degree(&scene.solids, |body| {
-            [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]
-        });
+        let unlimited =
+            bounds.unlimited_degree(&scene.solids, |body| [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]);
         let bound = CoupledFields {
             liquid: &liquid,
             solids: &solids,
@@ -189,8 +180,7 @@ impl<'a> DeviceScene<'a> {
     pub fn record_systems(&self) -> Recorder {
         let mut recorder = Recorder::new(self.gpu);
         recorder.stage(Stage::ActiveCells.name(), |pass| {
-            self.pressure
-                .record(pass, &self.liquid, self.everywhere.within())
+            self.pressure.record(pass, &self.liquid, self.everywhere.within())
         });
         recorder.stage(Stage::SolidMatrices.name(), |pass| {
             self.rotations.record_in(pass);
@@ -207,9 +197,7 @@ impl<'a> DeviceScene<'a> {
     /// [`Error::Gpu`] when the device fails.
     pub fn solve(&self) -> Result<CoupledOutcome, Error> {
         let (recorder, fields) = (self.record_systems(), self.fields());
-        let (outcome, _) =
-            self.solver
-                .solve(self.gpu, recorder, fields, &self.polynomial, false)?;
+        let (outcome, _) = self.solver.solve(self.gpu, recorder, fields, &self.polynomial, false)?;
         Ok(outcome)
     }
 
@@ -224,33 +212,19 @@ impl<'a> DeviceScene<'a> {
         let solids = snapshot.on_device(&scene.solids);
         let pattern = Arc::new(BlockPattern::new(&solids));
         let solid = snapshot.system(&solids, &pattern, f64::from(self.dt as f32));
-        let (clip, pressure) = (
-            scene.clip(),
-            StoredPressure::read(self.gpu, grid, &self.liquid)?,
-        );
+        let (clip, pressure) = (scene.clip(), StoredPressure::read(self.gpu, grid, &self.liquid)?);
         let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, DENSITY, self.dt);
         let stencil = Stencil::new(*grid, pressure.weight, pressure.dirichlet);
         let mut active = ActiveCells::new(stencil);
         active.seal(&coupling, prescribed);
         // As uploaded: a solve subtracts J v.
         let area = grid.dx * grid.dx;
-        let values = grid
-            .padded()
-            .unpad(grid.cells, &self.rhs, |b| match self.liquid.rhs.real {
-                Real::F32 => area * f64::from(b as f32),
-                Real::F64 => area * b,
-            });
-        let rhs = RightHandSide {
-            scale: norm(&values),
-            values,
-        };
-        Ok(coupled_system(
-            (active, &[]),
-            rhs,
-            solid,
-            &coupling,
-            density,
-        ))
+        let values = grid.padded().unpad(grid.cells, &self.rhs, |b| match self.liquid.rhs.real {
+            Real::F32 => area * f64::from(b as f32),
+            Real::F64 => area * b,
+        });
+        let rhs = RightHandSide { scale: norm(&values), values };
+        Ok(coupled_system((active, &[]), rhs, solid, &coupling, density))
     }
 
     /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.
@@ -261,9 +235,7 @@ impl<'a> DeviceScene<'a> {
         let grid = &self.grid;
         let potential = self.liquid.potential.download(self.gpu)?;
         let to_pressure = DENSITY * grid.dx / self.dt;
-        let pressure = grid
-            .padded()
-            .unpad(grid.cells, &potential, |phi| to_pressure * phi);
+        let pressure = grid.padded().unpad(grid.cells, &potential, |phi| to_pressure * phi);
         let mut state = self.state.clone();
         self.fields.read_state(self.gpu, &mut state)?;
         Ok((pressure, state.node_velocity))

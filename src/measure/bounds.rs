@@ -30,12 +30,7 @@ fn end_error(grid: &Grid, velocity: &[Vec<f64>; 3], given: f64, dt: f64) -> f64 
 /// Error of face velocities (m/s) after advection over dt (s), with the apertures `open`. The blended neighbour velocity of small-aperture faces is a
 /// quotient of two sums of up to 26 products with weights that are differences from 0.2, which f32 does not represent, and a share of it by such a
 /// sum: less than 160 roundings of the largest velocity. Small-aperture faces may mix both values: 12 roundings.
-pub fn advection_error(
-    grid: &Grid,
-    open: &[Vec<f64>; 3],
-    velocity: &[Vec<f64>; 3],
-    dt: f64,
-) -> f64 {
+pub fn advection_error(grid: &Grid, open: &[Vec<f64>; 3], velocity: &[Vec<f64>; 3], dt: f64) -> f64 {
     let plain = trace_error(grid, velocity, 0.0, dt);
     let mut apertures = open.iter().flatten();
     if !apertures.any(|&open| reference::is_sliver(open)) {
@@ -69,13 +64,7 @@ pub fn maccormack_error(
 
 /// Errors of a level (cells) after the first order of its transport and after the correction, where the limit decides alike. `carried`: after the
 /// first order. A level is a distance with three roundings; the rest as in [`maccormack_error`].
-pub fn level_error(
-    grid: &Grid,
-    velocity: &[Vec<f64>; 3],
-    level: &[f64],
-    carried: &[f64],
-    dt: f64,
-) -> [f64; 2] {
+pub fn level_error(grid: &Grid, velocity: &[Vec<f64>; 3], level: &[f64], carried: &[f64], dt: f64) -> [f64; 2] {
     let values = level.iter().chain(carried);
     let largest = values.fold(0.0, |most, phi| f64::max(most, phi.abs()));
     let given = 3.0 * EPS * largest;
@@ -84,23 +73,16 @@ pub fn level_error(
     // Beyond an open side the level is the distance to it.
     let first = (given + sample(level)).max(end);
     let returned = first + sample(carried);
-    [
-        first,
-        first + 0.5 * (given + returned) + 3.0 * EPS * 2.0 * largest,
-    ]
+    [first, first + 0.5 * (given + returned) + 3.0 * EPS * 2.0 * largest]
 }
 
 /// Apertures for `advect_velocity` as on the device, which does not advect small-aperture faces outside the band: these are closed, with the same
 /// blended velocity and weight.
-pub fn open_to_advection(
-    open: &[Vec<f64>; 3],
-    in_band: impl Fn(Axis, usize) -> bool,
-) -> [Vec<f64>; 3] {
+pub fn open_to_advection(open: &[Vec<f64>; 3], in_band: impl Fn(Axis, usize) -> bool) -> [Vec<f64>; 3] {
     Axis::ALL.map(|axis| {
         let open = open[axis.index()].iter().enumerate();
         let skipped = |face, open| reference::is_sliver(open) && !in_band(axis, face);
-        open.map(|(face, &open)| if skipped(face, open) { 0.0 } else { open })
-            .collect()
+        open.map(|(face, &open)| if skipped(face, open) { 0.0 } else { open }).collect()
     })
 }
 
@@ -120,12 +102,7 @@ pub struct MarkerError<'a> {
 
 impl<'a> MarkerError<'a> {
     /// Error of markers that move with face velocities (m/s) below a surface over dt (s).
-    pub fn new(
-        grid: &Grid,
-        velocity: &'a [Vec<f64>; 3],
-        surface: reference::Surface<'a>,
-        dt: f64,
-    ) -> MarkerError<'a> {
+    pub fn new(grid: &Grid, velocity: &'a [Vec<f64>; 3], surface: reference::Surface<'a>, dt: f64) -> MarkerError<'a> {
         MarkerError {
             grid: *grid,
             velocity,
@@ -142,12 +119,7 @@ impl<'a> MarkerError<'a> {
     /// in 10 roundings. Its slope changes by 4 times the largest slope per cell of the position, but jumps at planes of cell centres: markers there are
     /// excused. The weight of the difference changes with the distance. A limited difference has a proportionally smaller error.
     pub fn at(&self, x: DVec3) -> f64 {
-        let MarkerError {
-            grid,
-            velocity,
-            surface,
-            ..
-        } = self;
+        let MarkerError { grid, velocity, surface, .. } = self;
         let cells_per_speed = self.dt / grid.dx;
         let layer = reference::Layer::at(grid, surface, x, self.dt);
         let position = self.position();
@@ -158,8 +130,7 @@ impl<'a> MarkerError<'a> {
         let error_at = |x: DVec3, position: f64| {
             let below = grid.velocity_at(velocity, x - layer.up);
             let difference = (grid.velocity_at(velocity, x) - below).length();
-            let error = layer.ahead * (sample(position) + sample(position + direction))
-                + weight * difference;
+            let error = layer.ahead * (sample(position) + sample(position + direction)) + weight * difference;
             let least = layer.ahead * difference - error;
             sample(position) + error * (layer.most / least.max(layer.most)) + 6.0 * EPS * layer.most
         };

@@ -61,11 +61,7 @@ pub struct Convergence {
 impl Convergence {
     /// From values at decreasing cell sizes.
     pub fn new(h: [f64; 3], f: [f64; 3]) -> Convergence {
-        let without = |verdict, order| Convergence {
-            verdict,
-            order,
-            estimate: None,
-        };
+        let without = |verdict, order| Convergence { verdict, order, estimate: None };
         let [coarse, fine] = [f[0] - f[1], f[1] - f[2]];
         let size = f.iter().fold(0.0, |size: f64, f| size.max(f.abs()));
         if coarse.abs().max(fine.abs()) <= ROUNDING * size {
@@ -102,11 +98,7 @@ impl Convergence {
             return without(Verdict::TooFast, Some(order));
         }
         let gain = (order * (h[1] / h[2]).ln()).exp_m1();
-        Convergence {
-            verdict: Verdict::Converges,
-            order: Some(order),
-            estimate: Some(f[2] - fine / gain),
-        }
+        Convergence { verdict: Verdict::Converges, order: Some(order), estimate: Some(f[2] - fine / gain) }
     }
 }
 
@@ -146,9 +138,7 @@ pub struct Study {
 impl Study {
     /// From a sweep over three or more ascending scales, whose runs are finished.
     pub fn new(sweep: &Sweep) -> Study {
-        let rows: Vec<_> = (0..sweep.runs.len())
-            .map(|number| sweep.row(number))
-            .collect();
+        let rows: Vec<_> = (0..sweep.runs.len()).map(|number| sweep.row(number)).collect();
         debug_assert!(rows.iter().all(|row| row.status == Status::Finished));
         let runs = sweep.runs.iter();
         let cell_sizes: Vec<f64> = runs.clone().filter_map(|run| run.cell_size()).collect();
@@ -158,8 +148,7 @@ impl Study {
                 let found = row.probes.iter().find(|(name, _)| *name == probe);
                 found.map(|(_, statistics)| *statistics)
             };
-            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>()
-            else {
+            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>() else {
                 continue;
             };
             for (quantity, place) in QUANTITIES {
@@ -167,9 +156,8 @@ impl Study {
                 let finest = values.len() - 3;
                 let last = |list: &[f64]| std::array::from_fn(|n| list[finest + n]);
                 let convergence = Convergence::new(last(&cell_sizes), last(&values));
-                let error = convergence
-                    .estimate
-                    .map(|estimate| (values[values.len() - 1] - estimate).abs() / estimate.abs());
+                let error =
+                    convergence.estimate.map(|estimate| (values[values.len() - 1] - estimate).abs() / estimate.abs());
                 quantities.push(Quantity {
                     probe: probe.clone(),
                     unit,
@@ -200,45 +188,24 @@ impl Study {
         let scales = self.scales.iter().map(|scale| format!("scale={scale}"));
         let heads = ["probe", "unit", "quantity"].map(str::to_owned).into_iter();
         let ends = ["order", "estimate", "error", "verdict"].map(str::to_owned);
-        table
-            .write_record(heads.chain(scales).chain(ends))
-            .map_err(failed)?;
+        table.write_record(heads.chain(scales).chain(ends)).map_err(failed)?;
         let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:?}"));
         for row in &self.quantities {
-            let heads = [&row.probe, row.unit, row.quantity]
-                .map(str::to_owned)
-                .into_iter();
+            let heads = [&row.probe, row.unit, row.quantity].map(str::to_owned).into_iter();
             let values = row.values.iter().map(|&value| number(Some(value)));
-            let Convergence {
-                verdict,
-                order,
-                estimate,
-            } = row.convergence;
-            let ends = [
-                number(order),
-                number(estimate),
-                number(row.error),
-                verdict.name().to_owned(),
-            ];
-            table
-                .write_record(heads.chain(values).chain(ends))
-                .map_err(failed)?;
+            let Convergence { verdict, order, estimate } = row.convergence;
+            let ends = [number(order), number(estimate), number(row.error), verdict.name().to_owned()];
+            table.write_record(heads.chain(values).chain(ends)).map_err(failed)?;
         }
-        let bytes = table
-            .into_inner()
-            .map_err(|problem| Error::output(&csv_path, problem))?;
+        let bytes = table.into_inner().map_err(|problem| Error::output(&csv_path, problem))?;
         write_atomically(&csv_path, &bytes)?;
         let json_path = out.join("convergence.json");
-        let text = serde_json::to_vec_pretty(self)
-            .map_err(|problem| Error::output(&json_path, problem))?;
+        let text = serde_json::to_vec_pretty(self).map_err(|problem| Error::output(&json_path, problem))?;
         write_atomically(&json_path, &text)?;
         let mut files = vec![csv_path, json_path];
         let pages: Vec<(Chart, [Run; 1])> = self.charts().collect();
         if !pages.is_empty() {
-            let charts: Vec<(&Chart, &[Run])> = pages
-                .iter()
-                .map(|(chart, runs)| (chart, &runs[..]))
-                .collect();
+            let charts: Vec<(&Chart, &[Run])> = pages.iter().map(|(chart, runs)| (chart, &runs[..])).collect();
             files.push(write_page(out, "convergence.svg", &charts)?);
         }
         Ok(files)
@@ -246,29 +213,23 @@ impl Study {
 
     /// A chart of each probe: its quantities over the cell size, with the estimates at 0.
     fn charts(&self) -> impl Iterator<Item = (Chart, [Run; 1])> + '_ {
-        self.quantities
-            .chunk_by(|a, b| a.probe == b.probe)
-            .map(|rows| {
-                let mut times = self.cell_sizes.clone();
-                times.push(0.0);
-                let columns = rows.iter().map(|row| {
-                    let values = row.values.iter().copied().map(Some);
-                    let values = values.chain([row.convergence.estimate]).collect();
-                    (row.quantity.to_owned(), values)
-                });
-                let run = Run {
-                    name: String::new(),
-                    times,
-                    columns: columns.collect(),
-                };
-                let chart = Chart {
-                    title: format!("{}, {}", rows[0].probe, rows[0].unit),
-                    logarithmic: false,
-                    columns: rows.iter().map(|row| row.quantity.to_owned()).collect(),
-                    across: "cell size, m (0: estimate)",
-                };
-                (chart, [run])
-            })
+        self.quantities.chunk_by(|a, b| a.probe == b.probe).map(|rows| {
+            let mut times = self.cell_sizes.clone();
+            times.push(0.0);
+            let columns = rows.iter().map(|row| {
+                let values = row.values.iter().copied().map(Some);
+                let values = values.chain([row.convergence.estimate]).collect();
+                (row.quantity.to_owned(), values)
+            });
+            let run = Run { name: String::new(), times, columns: columns.collect() };
+            let chart = Chart {
+                title: format!("{}, {}", rows[0].probe, rows[0].unit),
+                logarithmic: false,
+                columns: rows.iter().map(|row| row.quantity.to_owned()).collect(),
+                across: "cell size, m (0: estimate)",
+            };
+            (chart, [run])
+        })
     }
 }
 
@@ -302,11 +263,7 @@ pub fn refined(
     }
     if elements {
         if scene.solids.is_empty() {
-            return Err(Error::input(
-                "--elements",
-                "the scene has no [[solid]]",
-                "leave it away",
-            ));
+            return Err(Error::input("--elements", "the scene has no [[solid]]", "leave it away"));
         }
         let file = |mesh: &SolidMesh| matches!(mesh, SolidMesh::File { .. });
         if let Some(number) = scene.solids.iter().position(|solid| file(&solid.mesh)) {
@@ -318,19 +275,14 @@ pub fn refined(
         }
     }
     // By name, since a removal among the settings may change indices.
-    let meshes: Vec<(String, SolidMesh)> = scene
-        .solids
-        .iter()
-        .map(|solid| (solid.name.clone(), solid.mesh.clone()))
-        .collect();
+    let meshes: Vec<(String, SolidMesh)> =
+        scene.solids.iter().map(|solid| (solid.name.clone(), solid.mesh.clone())).collect();
     let settings = settings.to_vec();
     Ok(move |scale: f64| {
         let mut all = settings.clone();
         if steps {
             let keys = [("fixed_step", time.fixed_step), ("max_step", time.max_step)];
-            let present = keys
-                .into_iter()
-                .filter_map(|(key, step)| Some((key, step?)));
+            let present = keys.into_iter().filter_map(|(key, step)| Some((key, step?)));
             all.extend(present.map(|(key, step)| format!("time.{key}={:?}", step / scale)));
         }
         for (name, mesh) in meshes.iter().filter(|_| elements) {
@@ -367,12 +319,9 @@ mod tests {
 
     #[test]
     fn orders_and_estimates_are_those_of_the_error() {
-        for (h, p) in [
-            ([2.0, 1.0, 0.5], 1.0),
-            ([0.04, 0.02, 0.01], 2.0),
-            ([3.0, 2.0, 1.0], 1.5),
-            ([1.0, 0.7, 0.6], 0.7),
-        ] {
+        for (h, p) in
+            [([2.0, 1.0, 0.5], 1.0), ([0.04, 0.02, 0.01], 2.0), ([3.0, 2.0, 1.0], 1.5), ([1.0, 0.7, 0.6], 0.7)]
+        {
             let f = h.map(|h: f64| 5.0 - 0.3 * h.powf(p));
             let found = Convergence::new(h, f);
             assert_eq!(found.verdict, Verdict::Converges, "{h:?}");

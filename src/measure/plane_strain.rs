@@ -43,11 +43,8 @@ const GRAVITY: f64 = -1.0;
 const DT: f64 = 0.01;
 
 /// Points and weights of Gauss's rule on \[0, 1\] that is exact to degree 5.
-const GAUSS: [[f64; 2]; 3] = [
-    [0.112_701_665_379_258_31, 5.0 / 18.0],
-    [0.5, 4.0 / 9.0],
-    [0.887_298_334_620_741_7, 5.0 / 18.0],
-];
+const GAUSS: [[f64; 2]; 3] =
+    [[0.112_701_665_379_258_31, 5.0 / 18.0], [0.5, 4.0 / 9.0], [0.887_298_334_620_741_7, 5.0 / 18.0]];
 
 /// A choice of the block's material and deformation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,22 +62,10 @@ pub struct PlaneStrain {
 }
 
 /// Block of table 6.5.
-pub const TABLE_6_5: PlaneStrain = PlaneStrain {
-    mu: 20.0,
-    lambda: 10.0,
-    alpha: 0.9,
-    y1: 0.205,
-    y2: 0.595,
-};
+pub const TABLE_6_5: PlaneStrain = PlaneStrain { mu: 20.0, lambda: 10.0, alpha: 0.9, y1: 0.205, y2: 0.595 };
 
 /// Block of table 6.6.
-pub const TABLE_6_6: PlaneStrain = PlaneStrain {
-    mu: 100.0,
-    lambda: 100.0,
-    alpha: 1.1,
-    y1: 0.18,
-    y2: 0.62,
-};
+pub const TABLE_6_6: PlaneStrain = PlaneStrain { mu: 100.0, lambda: 100.0, alpha: 1.1, y1: 0.18, y2: 0.62 };
 
 impl PlaneStrain {
     /// Weight of the liquid, rho_f |g|, N/m^3.
@@ -126,8 +111,7 @@ impl PlaneStrain {
     /// T_T, and -T_B, Pa.
     pub fn tractions_up(&self) -> [f64; 2] {
         let along = |y: f64, end: f64| {
-            let stress =
-                self.modulus() * (self.stretch(y) - 1.0) + self.lambda * (self.alpha - 1.0);
+            let stress = self.modulus() * (self.stretch(y) - 1.0) + self.lambda * (self.alpha - 1.0);
             stress + self.alpha * PlaneStrain::pressure(end)
         };
         [along(EDGE, self.y2), along(0.0, self.y1)]
@@ -159,9 +143,7 @@ impl PlaneStrain {
         // The walls along z: the faces of the slab do not move across.
         let wall = |z: f64| {
             let [min, max] = [low.with_z(z - 0.1 * dx), high.with_z(z + 0.1 * dx)].map(vector);
-            format!(
-                "[[solid.pin]]\nregion = {{ box = {{ min = {min}, max = {max} }} }}\ncomponents = \"z\"\n"
-            )
+            format!("[[solid.pin]]\nregion = {{ box = {{ min = {min}, max = {max} }} }}\ncomponents = \"z\"\n")
         };
         let text = format!(
             "[domain]
@@ -209,11 +191,7 @@ poisson = {:?}
         let middle = 0.5 * TANK[0];
         let moved = solids.rest.iter().map(|rest| {
             let y = rest.y - REST;
-            [
-                (self.alpha - 1.0) * (rest.x - middle),
-                self.height(y) - rest.y,
-                0.0,
-            ]
+            [(self.alpha - 1.0) * (rest.x - middle), self.height(y) - rest.y, 0.0]
         });
         state.displacement = moved.collect();
     }
@@ -253,10 +231,7 @@ poisson = {:?}
         let loaded = loaded.filter(|(_, force)| *force != DVec3::ZERO);
         loaded
             .map(|(&x, force)| Load {
-                region: Shape::Box {
-                    min: x - near,
-                    max: x + near,
-                },
+                region: Shape::Box { min: x - near, max: x + near },
                 kind: LoadKind::Force(force),
                 keyframes: Vec::new(),
             })

@@ -24,12 +24,7 @@ impl Statistics {
 
     /// The numbers of [`Statistics::NAMES`].
     pub fn numbers(&self) -> [f64; 6] {
-        let Statistics {
-            least,
-            largest,
-            mean,
-            last,
-        } = *self;
+        let Statistics { least, largest, mean, last } = *self;
         [least[0], least[1], largest[0], largest[1], mean, last]
     }
 
@@ -44,12 +39,7 @@ impl Statistics {
             let Some(value) = value else { continue };
             sum += dt * value;
             span += dt;
-            let here = Statistics {
-                least: [value, t],
-                largest: [value, t],
-                mean: value,
-                last: value,
-            };
+            let here = Statistics { least: [value, t], largest: [value, t], mean: value, last: value };
             let all = found.get_or_insert(here);
             if value < all.least[0] {
                 all.least = here.least;
@@ -76,9 +66,8 @@ impl Statistics {
         let table = Run::read(&path, String::new())?;
         let columns = table.columns.iter();
         let probes = columns.filter(|(name, _)| name != "step" && name != "t");
-        let of = |(name, values): &(String, Vec<Option<f64>>)| {
-            Some((name.clone(), Statistics::of(&table.times, values)?))
-        };
+        let of =
+            |(name, values): &(String, Vec<Option<f64>>)| Some((name.clone(), Statistics::of(&table.times, values)?));
         Ok(probes.filter_map(of).collect())
     }
 }

@@ -5,17 +5,10 @@ use std::sync::Arc;
 use crate::elastic::Solids;
 use crate::geometry::Coupling;
 use crate::reference::{BlockPattern, CoupledSystem, PressureSystem, SolidSystem, right_hand_side};
-use crate::sim::{
-    GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot, coupled_system, stored_coupling,
-};
+use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot, coupled_system, stored_coupling};
 
 /// The system of the pressure in SI units.
-pub(super) fn pressure_system(
-    path: &GpuPath,
-    liquid: &LiquidSnapshot,
-    density: f64,
-    dt: f64,
-) -> PressureSystem {
+pub(super) fn pressure_system(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt: f64) -> PressureSystem {
     let grid = path.grid();
     let area = grid.dx * grid.dx;
     let active = liquid.active_cells(grid);
@@ -51,11 +44,7 @@ fn touches(coupling: &Coupling, liquid: &LiquidSnapshot) -> bool {
 }
 
 /// The system of the solids, and the solids as stored on the device.
-pub(super) fn solid_system(
-    path: &GpuPath,
-    solids: &SolidSnapshot,
-    dt: f64,
-) -> (SolidSystem, Solids) {
+pub(super) fn solid_system(path: &GpuPath, solids: &SolidSnapshot, dt: f64) -> (SolidSystem, Solids) {
     let at_rest = path.solids().expect("the snapshot has solids");
     let all = solids.on_device(at_rest);
     let pattern = Arc::new(BlockPattern::new(&all));

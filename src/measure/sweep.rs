@@ -60,10 +60,7 @@ impl FromStr for Axis {
             let problem = format!("has the value {twice} twice");
             return Err(refused(problem, "give each value once"));
         }
-        Ok(Axis {
-            key: key.trim().to_owned(),
-            values,
-        })
+        Ok(Axis { key: key.trim().to_owned(), values })
     }
 }
 
@@ -106,12 +103,9 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Shard, String> {
-        let shard = text.split_once('/').and_then(|(index, count)| {
-            Some(Shard {
-                index: index.parse().ok()?,
-                count: count.parse().ok()?,
-            })
-        });
+        let shard = text
+            .split_once('/')
+            .and_then(|(index, count)| Some(Shard { index: index.parse().ok()?, count: count.parse().ok()? }));
         shard
             .filter(|shard| (1..=shard.count).contains(&shard.index))
             .ok_or_else(|| "write I/N with I from 1 to N, such as 1/4 to 4/4".to_owned())
@@ -149,13 +143,7 @@ struct Checked {
 
 impl Run {
     /// Reads the scene; nothing is written.
-    fn new(
-        name: &str,
-        values: Vec<String>,
-        overrides: Vec<String>,
-        scale: f64,
-        options: &Options,
-    ) -> Run {
+    fn new(name: &str, values: Vec<String>, overrides: Vec<String>, scale: f64, options: &Options) -> Run {
         let name = folder_name(name);
         // As the command line of a run has them, whose hash depends on their order.
         let mut overrides = overrides;
@@ -337,15 +325,8 @@ impl Sweep {
     ///
     /// # Errors
     /// The scene's own error if it is refused with every scale.
-    pub fn of_scales(
-        scales: &[f64],
-        settings: impl Fn(f64) -> Vec<String>,
-        options: Options,
-    ) -> Result<Sweep, Error> {
-        let axis = Axis {
-            key: "scale".to_owned(),
-            values: scales.iter().map(f64::to_string).collect(),
-        };
+    pub fn of_scales(scales: &[f64], settings: impl Fn(f64) -> Vec<String>, options: Options) -> Result<Sweep, Error> {
+        let axis = Axis { key: "scale".to_owned(), values: scales.iter().map(f64::to_string).collect() };
         let runs = scales.iter().zip(&axis.values).map(|(&scale, value)| {
             let values = vec![value.clone()];
             let name = format!("scale={value}");
@@ -361,12 +342,7 @@ impl Sweep {
         {
             return Err(error);
         }
-        Ok(Sweep {
-            axes,
-            options,
-            runs,
-            finished: Mutex::default(),
-        })
+        Ok(Sweep { axes, options, runs, finished: Mutex::default() })
     }
 
     /// Indices of the runs of a shard.
@@ -388,9 +364,7 @@ impl Sweep {
     }
 
     fn lock_finished(&self) -> MutexGuard<'_, BTreeMap<usize, Row>> {
-        self.finished
-            .lock()
-            .unwrap_or_else(|poisoned| poisoned.into_inner())
+        self.finished.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     fn read_row(&self, run: &Run) -> Row {
@@ -408,8 +382,7 @@ impl Sweep {
         let version = env!("CARGO_PKG_VERSION");
         let record = fs::read(run.folder.join(RECORD)).ok();
         let record: Option<Record> = record.and_then(|text| serde_json::from_slice(&text).ok());
-        let record =
-            record.filter(|record| record.scene_sha256 == *hash && record.cutwater == version);
+        let record = record.filter(|record| record.scene_sha256 == *hash && record.cutwater == version);
         let manifest = Manifest::read(&run.folder).ok();
         let current = |manifest: &Manifest| {
             manifest.scene.sha256 == *hash
@@ -419,10 +392,7 @@ impl Sweep {
         };
         let mut row = match (manifest, record) {
             (Some(manifest), record) if current(&manifest) => manifest_row(&manifest, record),
-            (Some(_), _) => Row {
-                status: Status::Outdated,
-                ..Row::default()
-            },
+            (Some(_), _) => Row { status: Status::Outdated, ..Row::default() },
             (None, Some(record)) => Row {
                 status: match record.exit_code {
                     None => Status::BrokenOff,
@@ -477,25 +447,15 @@ impl Sweep {
     ///
     /// # Errors
     /// [`Error::Output`] if it cannot be written.
-    pub fn record_end(
-        &self,
-        number: usize,
-        exit_code: Option<i32>,
-        problem: Option<String>,
-    ) -> Result<(), Error> {
+    pub fn record_end(&self, number: usize, exit_code: Option<i32>, problem: Option<String>) -> Result<(), Error> {
         let run = &self.runs[number];
         let Ok(Checked { hash, .. }) = &run.scene else {
             return Ok(());
         };
-        let record = Record {
-            cutwater: env!("CARGO_PKG_VERSION").to_owned(),
-            scene_sha256: hash.clone(),
-            exit_code,
-            problem,
-        };
+        let record =
+            Record { cutwater: env!("CARGO_PKG_VERSION").to_owned(), scene_sha256: hash.clone(), exit_code, problem };
         let path = run.folder.join(RECORD);
-        let text =
-            serde_json::to_vec_pretty(&record).map_err(|problem| Error::output(&path, problem))?;
+        let text = serde_json::to_vec_pretty(&record).map_err(|problem| Error::output(&path, problem))?;
         write_atomically(&path, &text)
     }
 
@@ -545,9 +505,7 @@ impl Sweep {
             let fields = run.values.iter().cloned().chain(fields).chain(statistics);
             table.write_record(fields).map_err(failed)?;
         }
-        let bytes = table
-            .into_inner()
-            .map_err(|problem| Error::output(&path, problem))?;
+        let bytes = table.into_inner().map_err(|problem| Error::output(&path, problem))?;
         write_atomically(&path, &bytes)
     }
 
@@ -592,8 +550,7 @@ fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
         RunStatus::Running => (Status::BrokenOff, None),
     };
     let problem = progress.error.as_deref().map(one_line);
-    let (recorded_code, recorded_problem) =
-        record.map_or((None, None), |record| (record.exit_code, record.problem));
+    let (recorded_code, recorded_problem) = record.map_or((None, None), |record| (record.exit_code, record.problem));
     let tally = &progress.tally;
     Row {
         status,
@@ -633,22 +590,14 @@ fn labels(axes: &[Axis]) -> Vec<Vec<String>> {
         let steps: Vec<&str> = axis.key.split('.').collect();
         let ends = (0..steps.len()).rev().map(|from| steps[from..].join("."));
         let others = || axes.iter().filter(|other| other.key != axis.key);
-        let alone = |end: &String| {
-            !others().any(|other| other.key == *end || other.key.ends_with(&format!(".{end}")))
-        };
-        let key = ends
-            .into_iter()
-            .find(alone)
-            .unwrap_or_else(|| axis.key.clone());
+        let alone = |end: &String| !others().any(|other| other.key == *end || other.key.ends_with(&format!(".{end}")));
+        let key = ends.into_iter().find(alone).unwrap_or_else(|| axis.key.clone());
         let key: String = key.chars().filter(|c| !"[] \"".contains(*c)).collect();
         let mut taken = BTreeSet::new();
         let label = |value: &String| {
             let bare: String = value.chars().filter(|c| !"[]{}\"' ".contains(*c)).collect();
             let safe = |c: char| c.is_ascii_alphanumeric() || "._+-,".contains(c);
-            let label: String = bare
-                .chars()
-                .map(|c| if safe(c) { c } else { '-' })
-                .collect();
+            let label: String = bare.chars().map(|c| if safe(c) { c } else { '-' }).collect();
             let nested = value.matches(['[', '{']).count() > 1;
             let faithful = label == bare && !nested && !label.is_empty() && !label.ends_with('.');
             // Some file systems do not distinguish capitals.
@@ -673,8 +622,5 @@ fn folder_name(name: &str) -> String {
 
 fn short_hash(text: &str) -> String {
     let digest = Sha256::digest(text.as_bytes());
-    digest[..4]
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
+    digest[..4].iter().map(|byte| format!("{byte:02x}")).collect()
 }

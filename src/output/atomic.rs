@@ -14,14 +14,8 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     write_atomically_with(path, |file| file.write_all(bytes))
 }
 
-pub(super) fn write_atomically_with(
-    path: &Path,
-    write: impl FnOnce(&mut File) -> io::Result<()>,
-) -> Result<(), Error> {
-    let name = path
-        .file_name()
-        .ok_or_else(|| Error::output(path, "not a file name"))?
-        .to_string_lossy();
+pub(super) fn write_atomically_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), Error> {
+    let name = path.file_name().ok_or_else(|| Error::output(path, "not a file name"))?.to_string_lossy();
     let partial = path.with_file_name(format!(".{name}{PARTIAL}"));
     let write = || -> io::Result<()> {
         let mut file = File::create(&partial)?;

@@ -53,8 +53,7 @@ impl Checkpoint {
 
     /// Writes a file of its own atomically.
     pub fn write_file(&mut self, path: &Path) -> Result<(), Error> {
-        let manifest =
-            serde_json::to_vec(&self.manifest).map_err(|problem| Error::output(path, problem))?;
+        let manifest = serde_json::to_vec(&self.manifest).map_err(|problem| Error::output(path, problem))?;
         write_atomically_with(path, |file| {
             let zip = ZipWriter::new(Quiet::new(BufWriter::new(file)));
             let mut to = Writing { zip };
@@ -79,9 +78,7 @@ impl Checkpoint {
     /// # Errors
     /// As [`Checkpoint::read`].
     pub fn read_file(path: &Path) -> Result<Option<Checkpoint>, Error> {
-        let refused = |problem: String, cure: &str| {
-            Err(Error::input(path.display().to_string(), problem, cure))
-        };
+        let refused = |problem: String, cure: &str| Err(Error::input(path.display().to_string(), problem, cure));
         let file = match File::open(path) {
             Ok(file) => file,
             Err(problem) if problem.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -92,9 +89,7 @@ impl Checkpoint {
             Ok(zip) => Reading { zip },
             Err(problem) => return refused(format!("is no intact .npz: {problem}"), damaged),
         };
-        let versions = from
-            .text("format")
-            .and_then(|format| Ok([format, from.text("cutwater")?]));
+        let versions = from.text("format").and_then(|format| Ok([format, from.text("cutwater")?]));
         let [format, version] = match versions {
             Ok(versions) => versions,
             Err(Flaw(problem)) => return refused(problem, damaged),
@@ -117,17 +112,8 @@ impl Checkpoint {
 
 /// Visits every array but `manifest`, `format` and `cutwater`, in order. `None` in a shape is any length.
 fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A::Error> {
-    let Checkpoint {
-        state,
-        carried,
-        steps_bytes,
-        probes_bytes,
-        manifest,
-    } = checkpoint;
-    let grid = Grid {
-        cells: manifest.cells,
-        dx: manifest.dx,
-    };
+    let Checkpoint { state, carried, steps_bytes, probes_bytes, manifest } = checkpoint;
+    let grid = Grid { cells: manifest.cells, dx: manifest.dx };
     let field = |[nx, ny, nz]: [usize; 3]| [Some(nz), Some(ny), Some(nx)];
     let cells = field(grid.cells);
     let nodes = Some(manifest.solids.iter().map(|solid| solid.nodes).sum());
@@ -136,10 +122,7 @@ fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A:
     with.count("step", &mut state.step)?;
     with.count("frame", &mut state.frame)?;
     with.number("dt_last", &mut state.dt_last)?;
-    for (axis, name) in Axis::ALL
-        .into_iter()
-        .zip(["velocity_x", "velocity_y", "velocity_z"])
-    {
+    for (axis, name) in Axis::ALL.into_iter().zip(["velocity_x", "velocity_y", "velocity_z"]) {
         let faces = field(grid.faces(axis));
         with.numbers(name, &faces, &mut state.velocity[axis.index()])?;
     }
@@ -168,11 +151,7 @@ fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A:
     with.numbers("potential", &cells, &mut carried.potential)?;
     with.vectors("displacement_high", nodes, &mut carried.displacement_high)?;
     with.vectors("displacement_low", nodes, &mut carried.displacement_low)?;
-    with.vectors(
-        "scripted_displacement",
-        nodes,
-        &mut carried.scripted_displacement,
-    )?;
+    with.vectors("scripted_displacement", nodes, &mut carried.scripted_displacement)?;
     with.vectors("scripted_velocity", nodes, &mut carried.scripted_velocity)?;
 
     with.count("steps_bytes", steps_bytes)?;
@@ -187,33 +166,13 @@ trait Arrays {
 
     fn count(&mut self, name: &str, value: &mut u64) -> Result<(), Self::Error>;
 
-    fn numbers(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<f64>,
-    ) -> Result<(), Self::Error>;
+    fn numbers(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<f64>) -> Result<(), Self::Error>;
 
-    fn marks(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<bool>,
-    ) -> Result<(), Self::Error>;
+    fn marks(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<bool>) -> Result<(), Self::Error>;
 
-    fn labels(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<u32>,
-    ) -> Result<(), Self::Error>;
+    fn labels(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<u32>) -> Result<(), Self::Error>;
 
-    fn vectors(
-        &mut self,
-        name: &str,
-        n: Option<usize>,
-        values: &mut Vec<[f64; 3]>,
-    ) -> Result<(), Self::Error>;
+    fn vectors(&mut self, name: &str, n: Option<usize>, values: &mut Vec<[f64; 3]>) -> Result<(), Self::Error>;
 }
 
 /// A file that stores its first error until the end and ignores all later writes. A ZipWriter that sees an error would print a
@@ -228,12 +187,7 @@ struct Quiet<W: Write + Seek> {
 
 impl<W: Write + Seek> Quiet<W> {
     fn new(file: W) -> Quiet<W> {
-        Quiet {
-            file,
-            problem: None,
-            at: 0,
-            end: 0,
-        }
+        Quiet { file, problem: None, at: 0, end: 0 }
     }
 
     /// Acts on the file unless an error has occurred.
@@ -292,11 +246,7 @@ impl<W: Write + Seek> Writing<W> {
     ) -> io::Result<()> {
         let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
         let mut bytes = Vec::new();
-        let mut array = npyz::WriteOptions::new()
-            .default_dtype()
-            .shape(&shape)
-            .writer(&mut bytes)
-            .begin_nd()?;
+        let mut array = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut bytes).begin_nd()?;
         array.extend(values)?;
         array.finish()?;
         let options = SimpleFileOptions::default()
@@ -327,10 +277,7 @@ fn shape_of(shape: &[Option<usize>], n: usize) -> Vec<usize> {
     }
     let rest: usize = shape[1..].iter().flatten().product();
     let first = [shape[0].unwrap_or(n / rest.max(1))];
-    first
-        .into_iter()
-        .chain(shape[1..].iter().flatten().copied())
-        .collect()
+    first.into_iter().chain(shape[1..].iter().flatten().copied()).collect()
 }
 
 impl<W: Write + Seek> Arrays for Writing<W> {
@@ -344,41 +291,21 @@ impl<W: Write + Seek> Arrays for Writing<W> {
         self.array(name, &[], [*value])
     }
 
-    fn numbers(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<f64>,
-    ) -> io::Result<()> {
+    fn numbers(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<f64>) -> io::Result<()> {
         self.floats(name, shape, values)
     }
 
-    fn marks(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<bool>,
-    ) -> io::Result<()> {
+    fn marks(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<bool>) -> io::Result<()> {
         let shape = shape_of(shape, values.len());
         self.array(name, &shape, values.iter().copied())
     }
 
-    fn labels(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<u32>,
-    ) -> io::Result<()> {
+    fn labels(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<u32>) -> io::Result<()> {
         let shape = shape_of(shape, values.len());
         self.array(name, &shape, values.iter().copied())
     }
 
-    fn vectors(
-        &mut self,
-        name: &str,
-        n: Option<usize>,
-        values: &mut Vec<[f64; 3]>,
-    ) -> io::Result<()> {
+    fn vectors(&mut self, name: &str, n: Option<usize>, values: &mut Vec<[f64; 3]>) -> io::Result<()> {
         self.floats(name, &[n, Some(3)], values.as_flattened())
     }
 }
@@ -399,8 +326,7 @@ impl Reading {
             Err(problem) => return Err(damaged(problem.to_string())),
         };
         let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes)
-            .map_err(|problem| damaged(problem.to_string()))?;
+        file.read_to_end(&mut bytes).map_err(|problem| damaged(problem.to_string()))?;
         Ok(bytes)
     }
 
@@ -447,18 +373,15 @@ impl Reading {
 /// Whether an array has a shape and C order.
 fn fits(array: &NpyFile<&[u8]>, shape: &[Option<usize>]) -> bool {
     let present = array.shape();
-    let same = |(present, expected): (&u64, &Option<usize>)| {
-        expected.is_none_or(|expected| *present == expected as u64)
-    };
+    let same =
+        |(present, expected): (&u64, &Option<usize>)| expected.is_none_or(|expected| *present == expected as u64);
     let fits = present.len() == shape.len() && present.iter().zip(shape).all(same);
     (fits || present == [0]) && (array.order() == Order::C || present.len() < 2)
 }
 
 /// The shape in numpy's notation.
 fn name_of(shape: &[Option<usize>]) -> String {
-    let lengths = shape
-        .iter()
-        .map(|n| n.map_or("any".to_owned(), |n| n.to_string()));
+    let lengths = shape.iter().map(|n| n.map_or("any".to_owned(), |n| n.to_string()));
     format!("shape [{}]", lengths.collect::<Vec<_>>().join(", "))
 }
 
@@ -479,19 +402,13 @@ impl Arrays for Reading {
         let values = self.array::<u64>(name, |array| {
             let fits = array.shape().is_empty();
             let data = array.try_data().ok().filter(|_| fits);
-            data.map(Iterator::collect)
-                .ok_or("a count (<u8, shape [])".to_owned())
+            data.map(Iterator::collect).ok_or("a count (<u8, shape [])".to_owned())
         })?;
         *value = values[0];
         Ok(())
     }
 
-    fn numbers(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<f64>,
-    ) -> Result<(), Flaw> {
+    fn numbers(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<f64>) -> Result<(), Flaw> {
         let present = self.array::<f64>(name, |array| {
             let expected = || format!("numbers (<f4 or <f8) of {}", name_of(shape));
             if !fits(&array, shape) {
@@ -513,42 +430,25 @@ impl Arrays for Reading {
         Ok(())
     }
 
-    fn marks(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<bool>,
-    ) -> Result<(), Flaw> {
+    fn marks(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<bool>) -> Result<(), Flaw> {
         *values = self.array(name, |array| {
             let fits = fits(&array, shape);
             let data = array.try_data().ok().filter(|_| fits);
-            data.map(Iterator::collect)
-                .ok_or_else(|| format!("marks (|b1) of {}", name_of(shape)))
+            data.map(Iterator::collect).ok_or_else(|| format!("marks (|b1) of {}", name_of(shape)))
         })?;
         Ok(())
     }
 
-    fn labels(
-        &mut self,
-        name: &str,
-        shape: &[Option<usize>],
-        values: &mut Vec<u32>,
-    ) -> Result<(), Flaw> {
+    fn labels(&mut self, name: &str, shape: &[Option<usize>], values: &mut Vec<u32>) -> Result<(), Flaw> {
         *values = self.array(name, |array| {
             let fits = fits(&array, shape);
             let data = array.try_data().ok().filter(|_| fits);
-            data.map(Iterator::collect)
-                .ok_or_else(|| format!("labels (<u4) of {}", name_of(shape)))
+            data.map(Iterator::collect).ok_or_else(|| format!("labels (<u4) of {}", name_of(shape)))
         })?;
         Ok(())
     }
 
-    fn vectors(
-        &mut self,
-        name: &str,
-        n: Option<usize>,
-        values: &mut Vec<[f64; 3]>,
-    ) -> Result<(), Flaw> {
+    fn vectors(&mut self, name: &str, n: Option<usize>, values: &mut Vec<[f64; 3]>) -> Result<(), Flaw> {
         let mut flat = Vec::new();
         self.numbers(name, &[n, Some(3)], &mut flat)?;
         *values = flat.as_chunks().0.to_vec();

@@ -54,10 +54,7 @@ fn area_vector([a, b, c]: [Vec3; 3]) -> Vec3 {
 /// Least height of a triangle, and index of the first corner of its longest edge.
 fn height([a, b, c]: [Vec3; 3]) -> (f32, usize) {
     let lengths = [a.distance(b), b.distance(c), c.distance(a)];
-    let longest = [2, 1, 0]
-        .into_iter()
-        .max_by(|&one: &usize, &two| lengths[one].total_cmp(&lengths[two]))
-        .unwrap_or(0);
+    let longest = [2, 1, 0].into_iter().max_by(|&one: &usize, &two| lengths[one].total_cmp(&lengths[two])).unwrap_or(0);
     let height = match lengths[longest] {
         0.0 => 0.0,
         length => area_vector([a, b, c]).length() / length,
@@ -94,8 +91,7 @@ impl ClosedMesh {
     pub(super) fn remove_degenerate(&mut self, size: Vec3) {
         let (component, n) = self.components();
         let volumes = self.volumes(&component, n);
-        self.triangles
-            .retain(|[a, _, _]| volumes[component[*a as usize] as usize].abs() > LEAST_VOLUME);
+        self.triangles.retain(|[a, _, _]| volumes[component[*a as usize] as usize].abs() > LEAST_VOLUME);
         for _ in 0..PASSES {
             let mut cleaner = Cleaner::new(self, size);
             for _ in 0..PASSES {
@@ -165,8 +161,7 @@ impl ClosedMesh {
                 - Vec3::select(x.cmpeq(size), Vec3::ONE, Vec3::ZERO);
             let inwards = from_walls - normals[vertex as usize].normalize_or_zero();
             // Additive recurrence of the golden ratio: neighbours differ most.
-            let share =
-                Vec3::from([1, 2, 3].map(|axis| (0.618_034 * (vertex * axis) as f32).fract()));
+            let share = Vec3::from([1, 2, 3].map(|axis| (0.618_034 * (vertex * axis) as f32).fract()));
             *x = (*x + 2.0 * SHORT * inwards * (share + 0.5)).clamp(Vec3::ZERO, size);
         }
         true
@@ -201,8 +196,7 @@ impl ClosedMesh {
     fn restore(&mut self, targets: &[f64], component: &[u32], walls: &[u8], size: Vec3) {
         for _ in 0..OFFSET_ITERATIONS {
             let volumes = self.volumes(component, targets.len());
-            let close =
-                |(target, volume): (&f64, &f64)| (target - volume).abs() < 1e-6 * target.abs();
+            let close = |(target, volume): (&f64, &f64)| (target - volume).abs() < 1e-6 * target.abs();
             if targets.iter().zip(&volumes).all(close) {
                 break;
             }
@@ -291,20 +285,13 @@ impl Neighbours {
             shares.extend(around.iter().map(|edge| (edge.1, weight(edge) / sum)));
         }
         let free = walls.iter().map(|&walls| free_axes(walls)).collect();
-        Neighbours {
-            starts,
-            shares,
-            free,
-        }
+        Neighbours { starts, shares, free }
     }
 
     /// Mean of the neighbours minus the vertex, along its free axes.
     fn umbrella(&self, vertex: usize, x: Vec3, vertices: &[Vec3]) -> Vec3 {
         let around = &self.shares[self.starts[vertex]..self.starts[vertex + 1]];
-        let mean = around
-            .iter()
-            .map(|&(other, share)| share * (vertices[other as usize] - x))
-            .sum::<Vec3>();
+        let mean = around.iter().map(|&(other, share)| share * (vertices[other as usize] - x)).sum::<Vec3>();
         mean * self.free[vertex]
     }
 }
@@ -325,11 +312,7 @@ impl<'a> Cleaner<'a> {
             }
         }
         let walls = mesh.vertices.iter().map(|&x| walls(x, size)).collect();
-        Cleaner {
-            mesh,
-            walls,
-            around,
-        }
+        Cleaner { mesh, walls, around }
     }
 
     fn triangle(&self, number: u32) -> [u32; 3] {
@@ -393,23 +376,16 @@ impl<'a> Cleaner<'a> {
             return false;
         }
         let [ring, other] = [from, to].map(|vertex| self.ring(vertex));
-        let common = ring
-            .iter()
-            .filter(|vertex| other.binary_search(vertex).is_ok());
+        let common = ring.iter().filter(|vertex| other.binary_search(vertex).is_ok());
         // Link condition; a tetrahedron would vanish.
         if common.count() != 2 || (ring.len() == 3 && other.len() == 3) {
             return false;
         }
-        let moved =
-            |triangle: [u32; 3]| triangle.map(|corner| if corner == from { to } else { corner });
+        let moved = |triangle: [u32; 3]| triangle.map(|corner| if corner == from { to } else { corner });
         let fan = std::mem::take(&mut self.around[from as usize]);
         let fits = fan.iter().all(|&number| {
             let triangle = self.triangle(number);
-            triangle.contains(&to)
-                || self.allowed(
-                    self.mesh.corners(triangle),
-                    self.mesh.corners(moved(triangle)),
-                )
+            triangle.contains(&to) || self.allowed(self.mesh.corners(triangle), self.mesh.corners(moved(triangle)))
         });
         if !fits {
             self.around[from as usize] = fan;
@@ -434,10 +410,8 @@ impl<'a> Cleaner<'a> {
     fn flip(&mut self, number: u32, longest: usize) -> bool {
         let triangle = self.triangle(number);
         let [p, q, r] = [0, 1, 2].map(|corner| triangle[(longest + corner) % 3]);
-        let beside = self.around[p as usize]
-            .iter()
-            .copied()
-            .find(|&other| other != number && self.triangle(other).contains(&q));
+        let beside =
+            self.around[p as usize].iter().copied().find(|&other| other != number && self.triangle(other).contains(&q));
         let Some(beside) = beside else { return false };
         let neighbour = self.triangle(beside);
         let Some(&s) = neighbour.iter().find(|&&corner| corner != p && corner != q) else {
@@ -448,19 +422,13 @@ impl<'a> Cleaner<'a> {
         }
         let old = self.mesh.corners(neighbour);
         let flipped = [[p, s, r], [s, q, r]];
-        let fits = height(old).0 >= SHORT
-            && flipped
-                .iter()
-                .all(|&new| self.allowed(old, self.mesh.corners(new)));
+        let fits = height(old).0 >= SHORT && flipped.iter().all(|&new| self.allowed(old, self.mesh.corners(new)));
         // Triangles in walls remain in them.
         let kept = common_walls(&self.walls, neighbour);
         if !fits || self.walls[r as usize] & kept != kept {
             return false;
         }
-        [
-            self.mesh.triangles[number as usize],
-            self.mesh.triangles[beside as usize],
-        ] = flipped;
+        [self.mesh.triangles[number as usize], self.mesh.triangles[beside as usize]] = flipped;
         self.around[q as usize].retain(|&other| other != number);
         self.around[p as usize].retain(|&other| other != beside);
         self.around[s as usize].push(number);

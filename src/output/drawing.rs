@@ -23,17 +23,11 @@ pub fn ink(index: usize) -> RGBAColor {
 ///
 /// # Errors
 /// [`Error::Output`].
-pub fn write_svg(
-    path: &Path,
-    size: (u32, u32),
-    draw: impl FnOnce(&Area) -> Result<(), Failure>,
-) -> Result<(), Error> {
+pub fn write_svg(path: &Path, size: (u32, u32), draw: impl FnOnce(&Area) -> Result<(), Failure>) -> Result<(), Error> {
     let mut text = String::new();
     let root = SVGBackend::with_string(&mut text, size).into_drawing_area();
     let drawn = root.fill(&WHITE).map_err(Failure::from);
-    let drawn = drawn
-        .and_then(|()| draw(&root))
-        .and_then(|()| Ok(root.present()?));
+    let drawn = drawn.and_then(|()| draw(&root)).and_then(|()| Ok(root.present()?));
     drop(root);
     drawn.map_err(|problem| Error::output(path, problem))?;
     write_atomically(path, text.as_bytes())

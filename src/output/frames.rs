@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use vtkio::model::{
-    Attribute, Attributes, CellType, Cells, DataArray, DataSet, Extent, IOBuffer, ImageDataPiece,
-    Piece, PolyDataPiece, UnstructuredGridPiece, VertexNumbers,
+    Attribute, Attributes, CellType, Cells, DataArray, DataSet, Extent, IOBuffer, ImageDataPiece, Piece, PolyDataPiece,
+    UnstructuredGridPiece, VertexNumbers,
 };
 
 use super::atomic::{create_folder, write_atomically};
@@ -65,15 +65,11 @@ impl FrameKinds {
     pub fn of(scene: &Scene) -> FrameKinds {
         let surface = scene.liquid.as_ref().map(|liquid| liquid.surface);
         FrameKinds {
-            markers: scene.output.particles
-                && surface.is_some_and(|surface| surface != Surface::Fixed),
-            fields: scene.output.fields
-                || surface.is_some_and(|surface| surface != Surface::Markers),
+            markers: scene.output.particles && surface.is_some_and(|surface| surface != Surface::Fixed),
+            fields: scene.output.fields || surface.is_some_and(|surface| surface != Surface::Markers),
             solids: scene.output.solids && !scene.solids.is_empty(),
             moving_obstacles: scene.obstacles_move(),
-            surface: surface
-                .filter(|_| scene.output.surface)
-                .map(|surface| SurfaceSource::of(surface, scene.surface)),
+            surface: surface.filter(|_| scene.output.surface).map(|surface| SurfaceSource::of(surface, scene.surface)),
         }
     }
 }
@@ -93,32 +89,17 @@ pub struct FrameWriter {
 
 impl FrameWriter {
     /// Creates `run/frames` if absent. `name` is the scene's.
-    pub fn create(
-        run: &Path,
-        name: &str,
-        grid: Grid,
-        kinds: FrameKinds,
-    ) -> Result<FrameWriter, Error> {
+    pub fn create(run: &Path, name: &str, grid: Grid, kinds: FrameKinds) -> Result<FrameWriter, Error> {
         let folder = run.join("frames");
         create_folder(&folder)?;
-        let series = |enabled: bool, kind: &str| {
-            enabled.then(|| Series::new(folder.join(format!("{name}_{kind}.pvd"))))
-        };
+        let series =
+            |enabled: bool, kind: &str| enabled.then(|| Series::new(folder.join(format!("{name}_{kind}.pvd"))));
         let markers = series(kinds.markers, "markers");
         let fields = series(kinds.fields, "fields");
         let solids = series(kinds.solids, "solids");
         let obstacles = series(kinds.moving_obstacles, "obstacles");
         let surface = series(kinds.surface.is_some(), "surface").zip(kinds.surface);
-        Ok(FrameWriter {
-            folder,
-            name: name.to_owned(),
-            grid,
-            markers,
-            fields,
-            solids,
-            obstacles,
-            surface,
-        })
+        Ok(FrameWriter { folder, name: name.to_owned(), grid, markers, fields, solids, obstacles, surface })
     }
 
     /// Writes the surfaces of the obstacles with normals towards the liquid; no file without obstacles. Cell data:
@@ -132,20 +113,12 @@ impl FrameWriter {
     }
 
     /// Writes the moving obstacles of the state's frame, and their series.
-    pub fn write_moved_obstacles(
-        &mut self,
-        state: &State,
-        obstacles: &[geometry::Surface],
-    ) -> Result<(), Error> {
+    pub fn write_moved_obstacles(&mut self, state: &State, obstacles: &[geometry::Surface]) -> Result<(), Error> {
         let Some(series) = &mut self.obstacles else {
             return Ok(());
         };
         let file_name = moved_obstacles_file(&self.name, state.frame);
-        vtk::write(
-            &self.folder.join(&file_name),
-            obstacles_file(obstacles),
-            vtk::FAST,
-        )?;
+        vtk::write(&self.folder.join(&file_name), obstacles_file(obstacles), vtk::FAST)?;
         series.add(state.time, &file_name);
         series.write()
     }
@@ -181,38 +154,16 @@ impl FrameWriter {
     ///
     /// A value that is not finite in f32 is an error with field and position; no file is written then.
     pub fn write(&mut self, state: &State, cut: &CutCells, bodies: &Solids) -> Result<(), Error> {
-        let FrameWriter {
-            folder,
-            name,
-            grid,
-            markers,
-            fields,
-            solids,
-            surface,
-            ..
-        } = self;
+        let FrameWriter { folder, name, grid, markers, fields, solids, surface, .. } = self;
         let stem = format!("{name}_{:06}", state.frame);
-        let markers_file = markers
-            .is_some()
-            .then(|| markers_file(grid, state))
-            .transpose()?;
-        let fields_file = fields
-            .is_some()
-            .then(|| fields_file(grid, state, cut))
-            .transpose()?;
-        let solids_file = solids
-            .is_some()
-            .then(|| solids_file(bodies, state))
-            .transpose()?;
-        let surface = surface
-            .as_mut()
-            .map(|(series, source)| Ok((series, surface_of(grid, state, cut, source)?)))
-            .transpose()?;
-        for (series, file, extension) in [
-            (markers, markers_file, "vtp"),
-            (fields, fields_file, "vti"),
-            (solids, solids_file, "vtu"),
-        ] {
+        let markers_file = markers.is_some().then(|| markers_file(grid, state)).transpose()?;
+        let fields_file = fields.is_some().then(|| fields_file(grid, state, cut)).transpose()?;
+        let solids_file = solids.is_some().then(|| solids_file(bodies, state)).transpose()?;
+        let surface =
+            surface.as_mut().map(|(series, source)| Ok((series, surface_of(grid, state, cut, source)?))).transpose()?;
+        for (series, file, extension) in
+            [(markers, markers_file, "vtp"), (fields, fields_file, "vti"), (solids, solids_file, "vtu")]
+        {
             if let (Some(series), Some(file)) = (series, file) {
                 let file_name = format!("{stem}.{extension}");
                 vtk::write(&folder.join(&file_name), file, vtk::FAST)?;
@@ -258,10 +209,7 @@ fn obstacles_file(obstacles: &[geometry::Surface]) -> DataSet {
     poly_data(PolyDataPiece {
         points: points.into(),
         polys: Some(polygons(&triangles)),
-        data: Attributes {
-            point: Vec::new(),
-            cell: vec![scalars("obstacle", index.into())],
-        },
+        data: Attributes { point: Vec::new(), cell: vec![scalars("obstacle", index.into())] },
         ..Default::default()
     })
 }
@@ -307,16 +255,10 @@ impl SurfaceTriangles {
     }
 }
 
-fn surface_of(
-    grid: &Grid,
-    state: &State,
-    cut: &CutCells,
-    source: &SurfaceSource,
-) -> Result<MovingSurface, Error> {
+fn surface_of(grid: &Grid, state: &State, cut: &CutCells, source: &SurfaceSource) -> Result<MovingSurface, Error> {
     let cells = |field: &str, values: &[f64]| {
         let cells = values.iter().enumerate();
-        let checked =
-            cells.map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell)));
+        let checked = cells.map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell)));
         checked.collect::<Result<Vec<f32>, Error>>()
     };
     let distance = || cells("liquid_distance", &state.liquid_distance);
@@ -361,12 +303,7 @@ fn surface_of(
         let (mut x, mut u) = (Vec3::ZERO, Vec3::ZERO);
         for axis in 0..3 {
             x[axis] = finite(state, "position", state.markers[marker][axis], place)?;
-            u[axis] = finite(
-                state,
-                "velocity",
-                state.marker_velocity[marker][axis],
-                place,
-            )?;
+            u[axis] = finite(state, "velocity", state.marker_velocity[marker][axis], place)?;
         }
         drops.push(x);
         velocity.extend([u; DROP_CORNERS]);
@@ -377,20 +314,13 @@ fn surface_of(
 
 /// Triangles (m); point data `Normals`, out of the liquid, and `velocity` (m/s).
 fn surface_file(MovingSurface { mesh, velocity }: MovingSurface) -> DataSet {
-    let numbers = |vectors: Vec<Vec3>| -> Vec<f32> {
-        vectors.into_iter().flat_map(|x| x.to_array()).collect()
-    };
-    let normals = Attribute::DataArray(DataArray {
-        data: numbers(mesh.normals).into(),
-        ..DataArray::normals("Normals")
-    });
+    let numbers = |vectors: Vec<Vec3>| -> Vec<f32> { vectors.into_iter().flat_map(|x| x.to_array()).collect() };
+    let normals =
+        Attribute::DataArray(DataArray { data: numbers(mesh.normals).into(), ..DataArray::normals("Normals") });
     let piece = PolyDataPiece {
         polys: Some(polygons(&mesh.triangles)),
         points: numbers(mesh.vertices).into(),
-        data: Attributes {
-            point: vec![normals, vectors("velocity", numbers(velocity))],
-            cell: Vec::new(),
-        },
+        data: Attributes { point: vec![normals, vectors("velocity", numbers(velocity))], cell: Vec::new() },
         ..Default::default()
     };
     poly_data(piece)
@@ -398,14 +328,8 @@ fn surface_file(MovingSurface { mesh, velocity }: MovingSurface) -> DataSet {
 
 fn polygons(triangles: &[[u32; 3]]) -> VertexNumbers {
     VertexNumbers::XML {
-        connectivity: triangles
-            .iter()
-            .flatten()
-            .map(|&corner| corner.into())
-            .collect(),
-        offsets: (1..=triangles.len() as u64)
-            .map(|triangle| 3 * triangle)
-            .collect(),
+        connectivity: triangles.iter().flatten().map(|&corner| corner.into()).collect(),
+        offsets: (1..=triangles.len() as u64).map(|triangle| 3 * triangle).collect(),
     }
 }
 
@@ -429,24 +353,15 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
         speed.push(finite(state, "speed", u.length(), place)?);
     }
     let n = n as u64;
-    let mut point = vec![
-        vectors("velocity", velocity),
-        scalars("speed", speed.into()),
-    ];
+    let mut point = vec![vectors("velocity", velocity), scalars("speed", speed.into())];
     if !state.spray.is_empty() {
         let spray: Vec<u8> = state.spray.iter().map(|&spray| spray.into()).collect();
         point.push(scalars("spray", spray.into()));
     }
     let piece = PolyDataPiece {
         points: points.into(),
-        verts: Some(VertexNumbers::XML {
-            connectivity: (0..n).collect(),
-            offsets: (1..=n).collect(),
-        }),
-        data: Attributes {
-            point,
-            cell: Vec::new(),
-        },
+        verts: Some(VertexNumbers::XML { connectivity: (0..n).collect(), offsets: (1..=n).collect() }),
+        data: Attributes { point, cell: Vec::new() },
         ..Default::default()
     };
     Ok(poly_data(piece))
@@ -455,11 +370,7 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
 /// Cell data: `pressure` (Pa), `liquid_distance` (m), `velocity` (m/s, mean of opposite faces), `active`, `solid_distance` (m).
 fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Error> {
     let cells = |field: &str, values: &[f64]| -> Result<Vec<f32>, Error> {
-        values
-            .iter()
-            .enumerate()
-            .map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell)))
-            .collect()
+        values.iter().enumerate().map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell))).collect()
     };
     let mut velocity = Vec::with_capacity(3 * grid.n_cells());
     for cell in 0..grid.n_cells() {
@@ -475,16 +386,10 @@ fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Er
             point: Vec::new(),
             cell: vec![
                 scalars("pressure", cells("pressure", &state.pressure)?.into()),
-                scalars(
-                    "liquid_distance",
-                    cells("liquid_distance", &state.liquid_distance)?.into(),
-                ),
+                scalars("liquid_distance", cells("liquid_distance", &state.liquid_distance)?.into()),
                 vectors("velocity", velocity),
                 scalars("active", active.into()),
-                scalars(
-                    "solid_distance",
-                    cells("solid_distance", &cut.solid_distance)?.into(),
-                ),
+                scalars("solid_distance", cells("solid_distance", &cut.solid_distance)?.into()),
             ],
         },
     };
@@ -520,21 +425,16 @@ fn solids_file(solids: &Solids, state: &State) -> Result<DataSet, Error> {
         vectors("velocity", vectors_of("velocity", &velocity)?),
     ];
     let n = solids.elements.len();
-    let stresses: Vec<[f64; 2]> = (0..n)
-        .into_par_iter()
-        .map(|element| solids.stress_and_determinant(element, &state.displacement))
-        .collect();
+    let stresses: Vec<[f64; 2]> =
+        (0..n).into_par_iter().map(|element| solids.stress_and_determinant(element, &state.displacement)).collect();
     let cells = |field: &str, which: usize| -> Result<IOBuffer, Error> {
         let values = stresses.iter().enumerate();
-        let values = values.map(|(element, values)| {
-            finite(state, field, values[which], || format!("element {element}"))
-        });
+        let values =
+            values.map(|(element, values)| finite(state, field, values[which], || format!("element {element}")));
         Ok(values.collect::<Result<Vec<f32>, Error>>()?.into())
     };
     let owners = (0_i32..).zip(&solids.bodies);
-    let owners: Vec<i32> = owners
-        .flat_map(|(solid, body)| body.elements.clone().map(move |_| solid))
-        .collect();
+    let owners: Vec<i32> = owners.flat_map(|(solid, body)| body.elements.clone().map(move |_| solid)).collect();
     let cell_data = vec![
         scalars("von_mises", cells("von_mises", 0)?),
         scalars("det_f", cells("det_f", 1)?),
@@ -561,15 +461,9 @@ pub(super) fn tetrahedra(
             },
             types: vec![CellType::Tetra; n],
         },
-        data: Attributes {
-            point: point_data,
-            cell: cell_data,
-        },
+        data: Attributes { point: point_data, cell: cell_data },
     };
-    DataSet::UnstructuredGrid {
-        meta: None,
-        pieces: vec![Piece::Inline(Box::new(piece))],
-    }
+    DataSet::UnstructuredGrid { meta: None, pieces: vec![Piece::Inline(Box::new(piece))] }
 }
 
 fn cell_name(grid: &Grid, cell: usize) -> String {
@@ -578,47 +472,25 @@ fn cell_name(grid: &Grid, cell: usize) -> String {
 }
 
 /// The value in f32; an error if that is not finite.
-fn finite(
-    state: &State,
-    field: &str,
-    value: f64,
-    place: impl FnOnce() -> String,
-) -> Result<f32, Error> {
+fn finite(state: &State, field: &str, value: f64, place: impl FnOnce() -> String) -> Result<f32, Error> {
     let written = value as f32;
     if written.is_finite() {
         return Ok(written);
     }
-    let problem = format!(
-        "{field} of {} is {value:?}; frame {} is not written",
-        place(),
-        state.frame
-    );
-    Err(Error::Stage {
-        stage: "write_frame",
-        step: state.step,
-        problem,
-    })
+    let problem = format!("{field} of {} is {value:?}; frame {} is not written", place(), state.frame);
+    Err(Error::Stage { stage: "write_frame", step: state.step, problem })
 }
 
 pub(super) fn scalars(name: &str, values: IOBuffer) -> Attribute {
-    Attribute::DataArray(DataArray {
-        data: values,
-        ..DataArray::scalars(name, 1)
-    })
+    Attribute::DataArray(DataArray { data: values, ..DataArray::scalars(name, 1) })
 }
 
 fn vectors(name: &str, values: Vec<f32>) -> Attribute {
-    Attribute::DataArray(DataArray {
-        data: values.into(),
-        ..DataArray::vectors(name)
-    })
+    Attribute::DataArray(DataArray { data: values.into(), ..DataArray::vectors(name) })
 }
 
 fn poly_data(piece: PolyDataPiece) -> DataSet {
-    DataSet::PolyData {
-        meta: None,
-        pieces: vec![Piece::Inline(Box::new(piece))],
-    }
+    DataSet::PolyData { meta: None, pieces: vec![Piece::Inline(Box::new(piece))] }
 }
 
 /// A ParaView collection of files and their times, which vtkio lacks.
@@ -630,21 +502,13 @@ struct Series {
 
 impl Series {
     fn new(path: PathBuf) -> Series {
-        Series {
-            path,
-            entries: String::new(),
-        }
+        Series { path, entries: String::new() }
     }
 
     /// `file` is in the folder of the collection.
     fn add(&mut self, time: f64, file: &str) {
-        let file = file
-            .replace('&', "&amp;")
-            .replace('<', "&lt;")
-            .replace('"', "&quot;");
-        self.entries += &format!(
-            "    <DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{file}\"/>\n"
-        );
+        let file = file.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
+        self.entries += &format!("    <DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{file}\"/>\n");
     }
 
     fn write(&self) -> Result<(), Error> {

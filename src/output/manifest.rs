@@ -126,9 +126,7 @@ impl SceneRecord {
             changes.push(format!("{key} {change}"));
         }
         let files: BTreeSet<&String> = self.meshes.keys().chain(scene.meshes.keys()).collect();
-        let changed = files
-            .into_iter()
-            .filter(|file| self.meshes.get(*file) != scene.meshes.get(*file));
+        let changed = files.into_iter().filter(|file| self.meshes.get(*file) != scene.meshes.get(*file));
         changes.extend(changed.map(|file| format!("the mesh file {file} has changed")));
         changes
     }
@@ -291,10 +289,7 @@ impl From<&CameraRecord> for Camera {
                 })
                 .collect(),
             // Ignores an invalid axis.
-            cut: record
-                .cut
-                .filter(|(axis, _)| *axis < 3)
-                .map(|(axis, at)| CameraCut { axis, at }),
+            cut: record.cut.filter(|(axis, _)| *axis < 3).map(|(axis, at)| CameraCut { axis, at }),
         }
     }
 }
@@ -412,17 +407,8 @@ impl Manifest {
     /// Manifest of a new run.
     pub fn new(scene: &Scene, options: RunOptions, adapter: Option<AdapterRecord>) -> Manifest {
         let grid = scene.grid();
-        let FrameKinds {
-            markers,
-            fields,
-            solids: solid_frames,
-            surface,
-            ..
-        } = FrameKinds::of(scene);
-        let liquid = scene
-            .liquid
-            .as_ref()
-            .filter(|liquid| liquid.surface == Surface::Markers);
+        let FrameKinds { markers, fields, solids: solid_frames, surface, .. } = FrameKinds::of(scene);
+        let liquid = scene.liquid.as_ref().filter(|liquid| liquid.surface == Surface::Markers);
         Manifest {
             cutwater: env!("CARGO_PKG_VERSION").to_owned(),
             scene: SceneRecord::from(scene),
@@ -453,10 +439,7 @@ impl Manifest {
                 steps: 0,
                 time: 0.0,
                 seconds: 0.0,
-                tally: Tally {
-                    volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]),
-                    ..Tally::default()
-                },
+                tally: Tally { volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]), ..Tally::default() },
                 solids: vec![SolidHealth::default(); scene.solids.len()],
             },
         }
@@ -473,15 +456,9 @@ impl Manifest {
             (problem, "resume with that version".to_owned())
         } else if options.backend != backend {
             let problem = format!("on the backend {}, and this is {backend}", options.backend);
-            (
-                problem,
-                format!("resume with --backend {}", options.backend),
-            )
+            (problem, format!("resume with --backend {}", options.backend))
         } else if options.scale != scene.scale {
-            let problem = format!(
-                "with --scale {}, and this is {}",
-                options.scale, scene.scale
-            );
+            let problem = format!("with --scale {}, and this is {}", options.scale, scene.scale);
             (problem, format!("resume with --scale {}", options.scale))
         } else if name != now {
             let problem = format!("of a scene file {name}.toml, and this is {now}.toml");
@@ -525,9 +502,7 @@ impl Manifest {
         let (problem, cure) = if let Some((key, then, _)) = other {
             let with = if then { "with" } else { "without" };
             (
-                format!(
-                    "frames 0 to {last} were written {with} {key}, and later ones would differ"
-                ),
+                format!("frames 0 to {last} were written {with} {key}, and later ones would differ"),
                 format!("set {key} = {then}"),
             )
         } else if self.surfaces && self.surface.is_some() && self.surface != mesh {
@@ -554,10 +529,7 @@ impl Manifest {
 
     /// Adds the flows of the sources.
     pub fn with_sources(self, flows: impl IntoIterator<Item = SourceFlow>) -> Manifest {
-        Manifest {
-            sources: flows.into_iter().map(SourceRecord::from).collect(),
-            ..self
-        }
+        Manifest { sources: flows.into_iter().map(SourceRecord::from).collect(), ..self }
     }
 
     /// Adds the meshes of the solids; hashes their mesh files.
@@ -583,8 +555,7 @@ impl Manifest {
     /// Writes `run/manifest.json` atomically.
     pub fn write(&self, run: &Path) -> Result<(), Error> {
         let path = run.join("manifest.json");
-        let mut text =
-            serde_json::to_vec_pretty(self).map_err(|problem| Error::output(&path, problem))?;
+        let mut text = serde_json::to_vec_pretty(self).map_err(|problem| Error::output(&path, problem))?;
         text.push(b'\n');
         write_atomically(&path, &text)
     }
@@ -593,9 +564,8 @@ impl Manifest {
     pub fn read(run: &Path) -> Result<Manifest, Error> {
         let path = run.join("manifest.json");
         let cure = "give the folder that `cutwater run --out` wrote";
-        let text = fs::read(&path).map_err(|problem| {
-            Error::input(path.display().to_string(), problem.to_string(), cure)
-        })?;
+        let text =
+            fs::read(&path).map_err(|problem| Error::input(path.display().to_string(), problem.to_string(), cure))?;
         serde_json::from_slice(&text)
             .map_err(|problem| Error::input(path.display().to_string(), problem.to_string(), cure))
     }

@@ -12,14 +12,10 @@ use crate::geometry::TetMesh;
 /// f32. Equal meshes result in equal files.
 pub fn write_mesh(path: &Path, mesh: &TetMesh) -> Result<(), Error> {
     let shapes = mesh.elements.iter().map(|&element| mesh.shape(element));
-    let (mean_ratio, min_dihedral): (Vec<f32>, Vec<f32>) = shapes
-        .map(|shape| (shape.mean_ratio as f32, shape.min_dihedral as f32))
-        .unzip();
+    let (mean_ratio, min_dihedral): (Vec<f32>, Vec<f32>) =
+        shapes.map(|shape| (shape.mean_ratio as f32, shape.min_dihedral as f32)).unzip();
     let points: Vec<f64> = mesh.nodes.iter().flat_map(|x| x.to_array()).collect();
-    let cell_data = vec![
-        scalars("mean_ratio", mean_ratio.into()),
-        scalars("min_dihedral", min_dihedral.into()),
-    ];
+    let cell_data = vec![scalars("mean_ratio", mean_ratio.into()), scalars("min_dihedral", min_dihedral.into())];
     let grid = tetrahedra(points.into(), &mesh.elements, Vec::new(), cell_data);
     vtk::write(path, grid, vtk::SMALL)
 }

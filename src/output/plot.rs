@@ -21,57 +21,17 @@ const ACROSS: usize = 2;
 /// Charts of the step table: title, whether its axis is logarithmic, columns.
 const OF_STEPS: [(&str, bool, &[&str]); 12] = [
     ("length of the sub-steps, s", false, &["dt"]),
-    (
-        "iterations",
-        false,
-        &["iterations", "solid_iterations", "solid_solves"],
-    ),
-    (
-        "true relative residuals",
-        true,
-        &["residual_p", "residual_v"],
-    ),
+    ("iterations", false, &["iterations", "solid_iterations", "solid_solves"]),
+    ("true relative residuals", true, &["residual_p", "residual_v"]),
     ("largest divergence, 1/s", true, &["divergence"]),
-    (
-        "volume of the liquid over the volume to hold",
-        false,
-        &["volume_ratio"],
-    ),
-    (
-        "energies of the liquid, J",
-        false,
-        &["kinetic_energy", "potential_energy"],
-    ),
-    (
-        "energies of the solids, J",
-        false,
-        &[
-            "solid_kinetic_energy",
-            "solid_elastic_energy",
-            "solid_potential_energy",
-        ],
-    ),
-    (
-        "largest speeds, m/s",
-        false,
-        &["max_speed", "solid_max_speed"],
-    ),
-    (
-        "momentum of the liquid, kg m/s",
-        false,
-        &["momentum_x", "momentum_y", "momentum_z"],
-    ),
-    (
-        "force of the liquid on the solids, N",
-        false,
-        &["force_x", "force_y", "force_z"],
-    ),
+    ("volume of the liquid over the volume to hold", false, &["volume_ratio"]),
+    ("energies of the liquid, J", false, &["kinetic_energy", "potential_energy"]),
+    ("energies of the solids, J", false, &["solid_kinetic_energy", "solid_elastic_energy", "solid_potential_energy"]),
+    ("largest speeds, m/s", false, &["max_speed", "solid_max_speed"]),
+    ("momentum of the liquid, kg m/s", false, &["momentum_x", "momentum_y", "momentum_z"]),
+    ("force of the liquid on the solids, N", false, &["force_x", "force_y", "force_z"]),
     ("least det F", false, &["min_det_f"]),
-    (
-        "seconds of a sub-step",
-        false,
-        &["seconds_total", "seconds_solve"],
-    ),
+    ("seconds of a sub-step", false, &["seconds_total", "seconds_solve"]),
 ];
 
 /// A table of a run: its columns by their names.
@@ -104,9 +64,7 @@ pub fn plot(runs: &[PathBuf], out: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut pages = Vec::new();
     let steps = tables(runs, "steps.csv")?;
     if steps.is_empty() {
-        let what = runs
-            .first()
-            .map_or(String::new(), |run| run.display().to_string());
+        let what = runs.first().map_or(String::new(), |run| run.display().to_string());
         let cure = "give the folder of a run, which has steps.csv";
         return Err(Error::input(what, "no run to plot", cure));
     }
@@ -142,20 +100,12 @@ pub fn plot(runs: &[PathBuf], out: &Path) -> Result<Vec<PathBuf>, Error> {
 pub fn plot_probes(runs: &[PathBuf], chosen: &[String], out: &Path) -> Result<PathBuf, Error> {
     let (probes, mut charts) = probe_charts(runs)?;
     let probe = |column: &str| {
-        let end = ["_x", "_y", "_z"]
-            .iter()
-            .find_map(|end| column.strip_suffix(end));
+        let end = ["_x", "_y", "_z"].iter().find_map(|end| column.strip_suffix(end));
         end.unwrap_or(column).to_owned()
     };
     let is = |name: &String, column: &String| *name == *column || *name == probe(column);
-    let columns: Vec<String> = charts
-        .iter()
-        .flat_map(|chart| chart.columns.clone())
-        .collect();
-    if let Some(name) = chosen
-        .iter()
-        .find(|name| !columns.iter().any(|column| is(name, column)))
-    {
+    let columns: Vec<String> = charts.iter().flat_map(|chart| chart.columns.clone()).collect();
+    if let Some(name) = chosen.iter().find(|name| !columns.iter().any(|column| is(name, column))) {
         let problem = format!("no run has a probe \"{name}\"");
         let cure = match columns.is_empty() {
             true => "the runs have no probes: add a [[probe]] to the scene".to_owned(),
@@ -164,9 +114,7 @@ pub fn plot_probes(runs: &[PathBuf], chosen: &[String], out: &Path) -> Result<Pa
         return Err(Error::input("--probes", problem, cure));
     }
     for chart in &mut charts {
-        chart
-            .columns
-            .retain(|column| chosen.iter().any(|name| is(name, column)));
+        chart.columns.retain(|column| chosen.iter().any(|name| is(name, column)));
     }
     charts.retain(|chart| !chart.columns.is_empty());
     let charts: Vec<(&Chart, &[Run])> = charts.iter().map(|chart| (chart, &*probes)).collect();
@@ -219,21 +167,14 @@ fn probe_charts(runs: &[PathBuf]) -> Result<(Vec<Run>, Vec<Chart>), Error> {
 }
 
 /// Writes charts, each with its runs, into a file of a folder.
-pub(crate) fn write_page(
-    out: &Path,
-    name: &str,
-    charts: &[(&Chart, &[Run])],
-) -> Result<PathBuf, Error> {
+pub(crate) fn write_page(out: &Path, name: &str, charts: &[(&Chart, &[Run])]) -> Result<PathBuf, Error> {
     fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;
     let path = out.join(name);
     let lines = charts.len().div_ceil(ACROSS);
     let size = (SIZE.0 * ACROSS as u32, SIZE.1 * lines as u32);
     write_svg(&path, size, |root| {
         let areas = root.split_evenly((lines, ACROSS));
-        areas
-            .iter()
-            .zip(charts)
-            .try_for_each(|(area, (chart, runs))| draw(area, chart, runs))
+        areas.iter().zip(charts).try_for_each(|(area, (chart, runs))| draw(area, chart, runs))
     })?;
     Ok(path)
 }
@@ -245,20 +186,12 @@ fn tables(runs: &[PathBuf], file: &str) -> Result<Vec<Run>, Error> {
     for run in runs {
         if !run.join("steps.csv").is_file() {
             let cure = "give the folder of a run, which has steps.csv";
-            return Err(Error::input(
-                run.display().to_string(),
-                "it holds no run",
-                cure,
-            ));
+            return Err(Error::input(run.display().to_string(), "it holds no run", cure));
         }
         let path = run.join(file);
         if path.is_file() {
             let name = match several {
-                true => run
-                    .file_name()
-                    .unwrap_or(run.as_os_str())
-                    .to_string_lossy()
-                    .into_owned(),
+                true => run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned(),
                 false => String::new(),
             };
             tables.push(Run::read(&path, name)?);
@@ -272,18 +205,12 @@ impl Run {
     pub(crate) fn read(path: &Path, name: String) -> Result<Run, Error> {
         let broken = |problem: &dyn std::fmt::Display| {
             let cure = "run the scene again, or move the file elsewhere";
-            Error::input(
-                path.display().to_string(),
-                format!("cannot be read: {problem}"),
-                cure,
-            )
+            Error::input(path.display().to_string(), format!("cannot be read: {problem}"), cure)
         };
         let mut reader = csv::Reader::from_path(path).map_err(|problem| broken(&problem))?;
         let heads = reader.headers().map_err(|problem| broken(&problem))?;
-        let mut columns: Vec<(String, Vec<Option<f64>>)> = heads
-            .iter()
-            .map(|head| (head.to_owned(), Vec::new()))
-            .collect();
+        let mut columns: Vec<(String, Vec<Option<f64>>)> =
+            heads.iter().map(|head| (head.to_owned(), Vec::new())).collect();
         if columns.is_empty() {
             return Err(broken(&EMPTY));
         }
@@ -296,11 +223,7 @@ impl Run {
         }
         let times = columns.iter().find(|(head, _)| head == "t");
         let times = times.and_then(|(_, column)| column.iter().copied().collect());
-        Ok(Run {
-            name,
-            times: times.ok_or_else(|| broken(&"a row has no time t"))?,
-            columns,
-        })
+        Ok(Run { name, times: times.ok_or_else(|| broken(&"a row has no time t"))?, columns })
     }
 
     fn column(&self, name: &str) -> Option<&[Option<f64>]> {
@@ -313,9 +236,7 @@ impl Run {
         let column = self.column(name).unwrap_or_default();
         let points = self.times.iter().zip(column);
         let points = points.filter_map(|(t, value)| Some((*t, (*value)?)));
-        points
-            .filter(|(_, value)| !logarithmic || *value > 0.0)
-            .collect()
+        points.filter(|(_, value)| !logarithmic || *value > 0.0).collect()
     }
 }
 
@@ -326,9 +247,7 @@ fn of_probes(runs: &[Run], units: &BTreeMap<String, String>) -> Vec<Chart> {
         if head == "step" || head == "t" {
             continue;
         }
-        let component = ["_x", "_y", "_z"]
-            .iter()
-            .find_map(|end| head.strip_suffix(end));
+        let component = ["_x", "_y", "_z"].iter().find_map(|end| head.strip_suffix(end));
         let title = component.unwrap_or(head);
         match charts.iter_mut().find(|chart| chart.title == title) {
             Some(chart) if chart.columns.contains(head) => {}
@@ -382,12 +301,7 @@ fn range(values: impl Iterator<Item = f64> + Clone, beyond: f64) -> Option<Range
 }
 
 fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
-    let Chart {
-        title,
-        logarithmic,
-        columns,
-        across,
-    } = chart;
+    let Chart { title, logarithmic, columns, across } = chart;
     let mut lines = Vec::new();
     for run in runs {
         for column in columns {
@@ -424,9 +338,7 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
     let power = |y: &f64| format!("{:.digits$e}", 10.0_f64.powf(*y));
     let mut chart = builder.build_cartesian_2d(x, y)?;
     let mut mesh = chart.configure_mesh();
-    mesh.x_desc(*across)
-        .max_light_lines(1)
-        .x_label_formatter(&of_times);
+    mesh.x_desc(*across).max_light_lines(1).x_label_formatter(&of_times);
     match logarithmic {
         true => mesh.y_label_formatter(&power).draw()?,
         false => mesh.y_label_formatter(&of_values).draw()?,
@@ -474,9 +386,7 @@ mod tests {
             for start in [0.0, 1.0, 100.0 * span] {
                 let range = start..start + span;
                 let tick = ticks(&range);
-                let texts: Vec<String> = (0..=10)
-                    .map(|n| tick(&(start + 0.1 * f64::from(n) * span)))
-                    .collect();
+                let texts: Vec<String> = (0..=10).map(|n| tick(&(start + 0.1 * f64::from(n) * span))).collect();
                 let differ = texts.windows(2).all(|pair| pair[0] != pair[1]);
                 assert!(differ, "{range:?}: {texts:?}");
             }

@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use glam::Vec3;
-use ply_rs_bw::ply::{
-    Addable, ElementDef, Encoding, Ply, PropertyAccess, PropertyDef, PropertyType, ScalarType,
-};
+use ply_rs_bw::ply::{Addable, ElementDef, Encoding, Ply, PropertyAccess, PropertyDef, PropertyType, ScalarType};
 use ply_rs_bw::writer::Writer;
 
 use super::atomic::write_atomically;
@@ -63,15 +61,12 @@ pub(super) fn write(path: &Path, mesh: &PlyMesh) -> Result<(), Error> {
         };
         if !absent {
             let kind = PropertyType::Scalar(ScalarType::Float);
-            vertex
-                .properties
-                .add(PropertyDef::new(name.to_owned(), kind));
+            vertex.properties.add(PropertyDef::new(name.to_owned(), kind));
         }
     }
     let mut face = ElementDef::new("face".to_owned());
     let kind = PropertyType::List(ScalarType::UChar, ScalarType::Int);
-    face.properties
-        .add(PropertyDef::new(FACE_PROPERTY.to_owned(), kind));
+    face.properties.add(PropertyDef::new(FACE_PROPERTY.to_owned(), kind));
     let vertices = mesh.vertices.iter().zip(mesh.normals).enumerate();
     let vertices = vertices.map(|(number, (x, normal))| {
         let mut values = [0.0; 11];
@@ -90,16 +85,11 @@ pub(super) fn write(path: &Path, mesh: &PlyMesh) -> Result<(), Error> {
     let mut ply = Ply::new();
     ply.header.encoding = Encoding::BinaryLittleEndian;
     ply.header.comments.push("m, m/s".to_owned());
-    for (element, payload) in [
-        (vertex, vertices.collect()),
-        (face, faces.collect::<Vec<_>>()),
-    ] {
+    for (element, payload) in [(vertex, vertices.collect()), (face, faces.collect::<Vec<_>>())] {
         ply.payload.insert(element.name.clone(), payload);
         ply.header.elements.add(element);
     }
     let mut bytes = Vec::new();
-    Writer::new()
-        .write_ply(&mut bytes, &mut ply)
-        .map_err(|problem| Error::output(path, problem))?;
+    Writer::new().write_ply(&mut bytes, &mut ply).map_err(|problem| Error::output(path, problem))?;
     write_atomically(path, &bytes)
 }

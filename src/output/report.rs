@@ -75,20 +75,14 @@ pub fn report(dir: &Path) -> Result<Contents, Error> {
     if folders.is_empty() {
         return refused("it holds no table and no picture".to_owned());
     }
-    let mut contents = Contents {
-        folders: folders.len(),
-        ..Contents::default()
-    };
+    let mut contents = Contents { folders: folders.len(), ..Contents::default() };
     let sections = folders.iter().map(|folder| {
         contents.tables += folder.csv.len();
         contents.pictures += folder.svg.len() + folder.pictures.len();
         section(dir, folder)
     });
     let sections: Vec<Markup> = sections.collect::<Result<_, _>>()?;
-    let name = dir
-        .canonicalize()
-        .ok()
-        .and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+    let name = dir.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
     let title = format!("cutwater: {}", name.unwrap_or_default());
     let names = folders.iter().map(|folder| label(dir, folder));
     let page = html! {
@@ -128,10 +122,7 @@ fn gather(dir: &Path, folders: &mut Vec<Folder>) -> Result<(), Error> {
     let entries = fs::read_dir(dir).map_err(|problem| unreadable(dir, &problem))?;
     let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     paths.sort();
-    let mut folder = Folder {
-        path: dir.to_owned(),
-        ..Folder::default()
-    };
+    let mut folder = Folder { path: dir.to_owned(), ..Folder::default() };
     for path in paths.iter().filter(|path| path.is_file()) {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("json") => folder.json.push(path.clone()),
@@ -160,10 +151,7 @@ pub(super) const EMPTY: &str = "it is empty: not even the names of its columns a
 fn records(path: &Path) -> Result<(csv::StringRecord, Vec<csv::StringRecord>), Error> {
     let text = read(path)?;
     let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let heads = reader
-        .headers()
-        .map_err(|problem| unreadable(path, &problem))?
-        .clone();
+    let heads = reader.headers().map_err(|problem| unreadable(path, &problem))?.clone();
     let rows = reader.records().collect::<Result<_, _>>();
     let rows = rows.map_err(|problem| unreadable(path, &problem))?;
     if ends_in_quotes(&text) {
@@ -202,8 +190,7 @@ fn label(dir: &Path, folder: &Folder) -> String {
 }
 
 fn file_name(path: &Path) -> String {
-    path.file_name()
-        .map_or(String::new(), |name| name.to_string_lossy().into_owned())
+    path.file_name().map_or(String::new(), |name| name.to_string_lossy().into_owned())
 }
 
 fn section(dir: &Path, folder: &Folder) -> Result<Markup, Error> {
@@ -211,10 +198,7 @@ fn section(dir: &Path, folder: &Folder) -> Result<Markup, Error> {
     let mut facts: Vec<Vec<(String, String)>> = facts.collect::<Result<_, _>>()?;
     // Tables of one bench tell the same of it.
     facts.dedup();
-    let drawn = folder
-        .svg
-        .iter()
-        .map(|path| Ok((file_name(path), drawing(path)?)));
+    let drawn = folder.svg.iter().map(|path| Ok((file_name(path), drawing(path)?)));
     let drawn: Vec<(String, String)> = drawn.collect::<Result<_, Error>>()?;
     let rendered = folder.pictures.iter().map(|path| {
         let bytes = fs::read(path).map_err(|problem| unreadable(path, &problem))?;
@@ -244,8 +228,7 @@ fn section(dir: &Path, folder: &Folder) -> Result<Markup, Error> {
 /// Where something was measured: the plain values of a JSON file, and those one level down that are numbers or texts.
 fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
     use serde_json::Value;
-    let value: Value =
-        serde_json::from_str(&read(path)?).map_err(|problem| unreadable(path, &problem))?;
+    let value: Value = serde_json::from_str(&read(path)?).map_err(|problem| unreadable(path, &problem))?;
     let plain = |value: &Value| match value {
         Value::String(text) => Some(text.clone()),
         Value::Number(number) => Some(short(&number.to_string())),
@@ -257,9 +240,7 @@ fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
         if let Some(text) = plain(value) {
             facts.push((key.clone(), text));
         } else if let Some(inner) = value.as_object() {
-            let inner = inner
-                .iter()
-                .filter_map(|(inner, value)| Some((inner, plain(value)?)));
+            let inner = inner.iter().filter_map(|(inner, value)| Some((inner, plain(value)?)));
             facts.extend(inner.map(|(inner, text)| (format!("{key}.{inner}"), text)));
         }
     }
@@ -270,17 +251,11 @@ fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
 fn drawing(path: &Path) -> Result<String, Error> {
     let text = read(path)?;
     // Other programs begin theirs with a document type.
-    let options = ParsingOptions {
-        allow_dtd: true,
-        ..ParsingOptions::default()
-    };
+    let options = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
     let document = Document::parse_with_options(&text, options);
     let document = document.map_err(|problem| unreadable(path, &problem))?;
     match document.root_element().tag_name().name() {
-        "svg" => Ok(format!(
-            "data:image/svg+xml;base64,{}",
-            STANDARD.encode(text)
-        )),
+        "svg" => Ok(format!("data:image/svg+xml;base64,{}", STANDARD.encode(text))),
         _ => Err(unreadable(path, &"its root is no svg element")),
     }
 }
@@ -328,10 +303,7 @@ fn short(cell: &str) -> String {
         Ok(number) if !exact && number.is_finite() => {
             let size = number.abs();
             match size == 0.0 || (1e-3..1e6).contains(&size) {
-                true => format!("{number:.5}")
-                    .trim_end_matches('0')
-                    .trim_end_matches('.')
-                    .to_owned(),
+                true => format!("{number:.5}").trim_end_matches('0').trim_end_matches('.').to_owned(),
                 false => format!("{number:.3e}"),
             }
         }

@@ -52,20 +52,12 @@ pub fn skins(
     let manifest = Manifest::read(run)?;
     let folder = run.join("frames");
     let name = &manifest.scene.name;
-    let refuse =
-        |problem: String, cure: String| Err(Error::input(run.display().to_string(), problem, cure));
+    let refuse = |problem: String, cure: String| Err(Error::input(run.display().to_string(), problem, cure));
     if !manifest.solid_frames && !manifest.obstacles {
         let cure = "run a scene with solids and output.solids on, or with obstacles";
-        return refuse(
-            "the run has no frames of solids, and no obstacles".to_owned(),
-            cure.to_owned(),
-        );
+        return refuse("the run has no frames of solids, and no obstacles".to_owned(), cure.to_owned());
     }
-    let names: Vec<&str> = manifest
-        .solids
-        .iter()
-        .map(|solid| solid.name.as_str())
-        .collect();
+    let names: Vec<&str> = manifest.solids.iter().map(|solid| solid.name.as_str()).collect();
     for (number, (solid, _)) in files.iter().enumerate() {
         let problem = if !names.contains(&solid.as_str()) {
             format!("the run has no solid {solid:?}")
@@ -93,10 +85,7 @@ pub fn skins(
     }
     let file = |frame: u64| folder.join(format!("{name}_{frame:06}.vtu"));
     let Some(&first) = numbers.first() else {
-        return refuse(
-            "the run has no frame yet".to_owned(),
-            "let `cutwater run` write a frame first".to_owned(),
-        );
+        return refuse("the run has no frame yet".to_owned(), "let `cutwater run` write a frame first".to_owned());
     };
     let mut skins = Vec::new();
     let first = Frame::read(&file(first))?;
@@ -116,8 +105,7 @@ pub fn skins(
             );
         }
         for ((skin, animation), solid) in skins.iter().zip(&mut animations).zip(&names) {
-            let [vertices, velocity] =
-                [&frame.nodes, &frame.velocity].map(|values| single(&skin.embedding.at(values)));
+            let [vertices, velocity] = [&frame.nodes, &frame.velocity].map(|values| single(&skin.embedding.at(values)));
             let normals = skin.normals(&vertices);
             let path = folder.join(format!("{name}_{solid}_{number:06}.ply"));
             let mesh = PlyMesh {
@@ -128,11 +116,7 @@ pub fn skins(
                 triangles: &skin.triangles,
             };
             ply::write(&path, &mesh)?;
-            animation.push(
-                number as f64 / manifest.frames_per_second,
-                vertices,
-                normals,
-            );
+            animation.push(number as f64 / manifest.frames_per_second, vertices, normals);
         }
     }
     progress(numbers.len(), numbers.len());
@@ -168,9 +152,7 @@ struct Frame {
 impl Frame {
     fn read(path: &Path) -> Result<Frame, Error> {
         let missing = |what: &str| unreadable(path, format!("no {what}"));
-        let data = Vtk::import(path)
-            .map_err(|problem| unreadable(path, problem))?
-            .data;
+        let data = Vtk::import(path).map_err(|problem| unreadable(path, problem))?.data;
         let DataSet::UnstructuredGrid { pieces, .. } = data else {
             return Err(missing("tetrahedra"));
         };
@@ -199,16 +181,10 @@ impl Frame {
         }
         let corners = connectivity.chunks_exact(4);
         Ok(Frame {
-            rest: nodes
-                .iter()
-                .zip(&displacement)
-                .map(|(x, u)| x - u)
-                .collect(),
+            rest: nodes.iter().zip(&displacement).map(|(x, u)| x - u).collect(),
             nodes,
             velocity,
-            elements: corners
-                .map(|of| [0, 1, 2, 3].map(|corner| of[corner] as u32))
-                .collect(),
+            elements: corners.map(|of| [0, 1, 2, 3].map(|corner| of[corner] as u32)).collect(),
             solid,
         })
     }
@@ -226,29 +202,17 @@ struct Skin {
 
 impl Skin {
     /// The mesh of a file placed as the solid was, or the boundary of the solid.
-    fn new(
-        frame: &Frame,
-        solid: usize,
-        file: Option<&Path>,
-        placed: Option<[[f64; 3]; 4]>,
-    ) -> Result<Skin, Error> {
+    fn new(frame: &Frame, solid: usize, file: Option<&Path>, placed: Option<[[f64; 3]; 4]>) -> Result<Skin, Error> {
         let owned = frame.elements.iter().zip(&frame.solid);
         let owned = owned.filter(|(_, owner)| **owner == solid as i32);
-        let tets = TetMesh {
-            nodes: frame.rest.clone(),
-            elements: owned.map(|(element, _)| *element).collect(),
-        };
+        let tets = TetMesh { nodes: frame.rest.clone(), elements: owned.map(|(element, _)| *element).collect() };
         let mesh = match file {
             None => boundary(&tets),
             Some(file) => {
                 let mut mesh = read_render_mesh(file)?;
                 let placed = placed.ok_or_else(|| {
                     let cure = "run the scene again: an earlier version wrote the run";
-                    Error::input(
-                        file.display().to_string(),
-                        "the run does not record where its mesh was placed",
-                        cure,
-                    )
+                    Error::input(file.display().to_string(), "the run does not record where its mesh was placed", cure)
                 })?;
                 let [x, y, z, origin] = placed.map(DVec3::from);
                 for vertex in &mut mesh.vertices {
@@ -257,11 +221,7 @@ impl Skin {
                 mesh
             }
         };
-        let used = tets
-            .elements
-            .iter()
-            .flatten()
-            .map(|&node| tets.nodes[node as usize]);
+        let used = tets.elements.iter().flatten().map(|&node| tets.nodes[node as usize]);
         let [low, high] = bounds(used);
         let embedding = Embedding::new(&tets, &mesh.vertices);
         let size = (high - low).max_element();
@@ -273,13 +233,7 @@ impl Skin {
             let cure = "give a mesh in the units and axes of the solid's own mesh file";
             return Err(Error::input(file.display().to_string(), problem, cure));
         }
-        Ok(Skin {
-            embedding,
-            group: groups(&mesh),
-            texture: mesh.texture,
-            triangles: mesh.triangles,
-            size,
-        })
+        Ok(Skin { embedding, group: groups(&mesh), texture: mesh.texture, triangles: mesh.triangles, size })
     }
 
     /// Unit normals, area-weighted over the triangles of each group.
@@ -293,9 +247,7 @@ impl Skin {
             }
         }
         let groups = self.group.iter();
-        groups
-            .map(|&group| sums[group as usize].try_normalize().unwrap_or(Vec3::Y))
-            .collect()
+        groups.map(|&group| sums[group as usize].try_normalize().unwrap_or(Vec3::Y)).collect()
     }
 }
 
@@ -321,10 +273,7 @@ fn groups(mesh: &RenderMesh) -> Vec<u32> {
     vertices
         .map(|(number, x)| {
             // Exporters round the normals of one vertex in several faces alike; a hundredth is far below a crease.
-            let normal = mesh
-                .normals
-                .get(number as usize)
-                .and_then(|normal| normal.try_normalize());
+            let normal = mesh.normals.get(number as usize).and_then(|normal| normal.try_normalize());
             let normal = normal.map(|normal| (100.0 * normal).round().as_ivec3());
             let place = x.to_array().map(|x| (x + 0.0).to_bits());
             *known.entry((place, normal)).or_insert(number)
@@ -338,26 +287,13 @@ fn single(values: &[DVec3]) -> Vec<Vec3> {
 
 /// Writes the obstacles, at rest and in each frame in which they moved.
 fn obstacles(folder: &Path, name: &str, numbers: &[u64]) -> Result<SkinReport, Error> {
-    let mut report = SkinReport {
-        solid: None,
-        vertices: 0,
-        triangles: 0,
-        frames: 0,
-        animation: None,
-        farthest: 0.0,
-        size: 0.0,
-    };
-    let moved = numbers
-        .iter()
-        .map(|&frame| folder.join(moved_obstacles_file(name, frame)));
-    let files = [folder.join(format!("{name}_obstacles.vtp"))]
-        .into_iter()
-        .chain(moved.filter(|file| file.is_file()));
+    let mut report =
+        SkinReport { solid: None, vertices: 0, triangles: 0, frames: 0, animation: None, farthest: 0.0, size: 0.0 };
+    let moved = numbers.iter().map(|&frame| folder.join(moved_obstacles_file(name, frame)));
+    let files = [folder.join(format!("{name}_obstacles.vtp"))].into_iter().chain(moved.filter(|file| file.is_file()));
     for file in files {
         let missing = || unreadable(&file, "no triangles");
-        let data = Vtk::import(&file)
-            .map_err(|problem| unreadable(&file, problem))?
-            .data;
+        let data = Vtk::import(&file).map_err(|problem| unreadable(&file, problem))?.data;
         let DataSet::PolyData { pieces, .. } = data else {
             return Err(missing());
         };
@@ -368,16 +304,11 @@ fn obstacles(folder: &Path, name: &str, numbers: &[u64]) -> Result<SkinReport, E
         let Some(VertexNumbers::XML { connectivity, .. }) = piece.polys else {
             return Err(missing());
         };
-        if connectivity
-            .iter()
-            .any(|&corner| corner as usize >= vertices.len())
-        {
+        if connectivity.iter().any(|&corner| corner as usize >= vertices.len()) {
             return Err(missing());
         }
-        let triangles: Vec<[u32; 3]> = connectivity
-            .chunks_exact(3)
-            .map(|of| [0, 1, 2].map(|corner| of[corner] as u32))
-            .collect();
+        let triangles: Vec<[u32; 3]> =
+            connectivity.chunks_exact(3).map(|of| [0, 1, 2].map(|corner| of[corner] as u32)).collect();
         // Edges of boxes and cylinders stay sharp: each triangle has corners of its own.
         let (mut corners, mut normals) = (Vec::new(), Vec::new());
         for triangle in &triangles {
@@ -387,17 +318,9 @@ fn obstacles(folder: &Path, name: &str, numbers: &[u64]) -> Result<SkinReport, E
             normals.extend([(b - a).cross(c - a).try_normalize().unwrap_or(Vec3::Y); 3]);
         }
         let numbers: Vec<u32> = (0..corners.len() as u32).collect();
-        let triangles: Vec<[u32; 3]> = numbers
-            .chunks_exact(3)
-            .map(|of| [of[0], of[1], of[2]])
-            .collect();
-        let mesh = PlyMesh {
-            vertices: &corners,
-            normals: &normals,
-            velocity: None,
-            texture: None,
-            triangles: &triangles,
-        };
+        let triangles: Vec<[u32; 3]> = numbers.chunks_exact(3).map(|of| [of[0], of[1], of[2]]).collect();
+        let mesh =
+            PlyMesh { vertices: &corners, normals: &normals, velocity: None, texture: None, triangles: &triangles };
         ply::write(&file.with_extension("ply"), &mesh)?;
         (report.vertices, report.triangles) = (corners.len(), triangles.len());
         report.frames += 1;

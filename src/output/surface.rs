@@ -16,8 +16,8 @@ use splashsurf_lib::marching_cubes::triangulate_density_map;
 use splashsurf_lib::mesh::TriMesh3d;
 use splashsurf_lib::nalgebra::Vector3;
 use splashsurf_lib::{
-    GridDecompositionParameters, Parameters, ReconstructionError, SpatialDecomposition,
-    UniformGrid, reconstruct_surface,
+    GridDecompositionParameters, Parameters, ReconstructionError, SpatialDecomposition, UniformGrid,
+    reconstruct_surface,
 };
 
 use super::closed_mesh::ClosedMesh;
@@ -61,10 +61,8 @@ impl LiquidSurface {
             return Ok(LiquidSurface::default());
         }
         let cells = 1.0 / grid.dx as f32;
-        let particles: Vec<Vector3<f32>> = markers
-            .iter()
-            .map(|&marker| Vector3::from((marker * cells).to_array()))
-            .collect();
+        let particles: Vec<Vector3<f32>> =
+            markers.iter().map(|&marker| Vector3::from((marker * cells).to_array())).collect();
         let parameters = Parameters {
             iso_surface_threshold: LEVEL,
             // The other decomposition sums in an order that depends on the threads.
@@ -80,18 +78,12 @@ impl LiquidSurface {
 
     /// Zero level of the distance at cell centres (m, x fastest, negative in liquid), constant from the outermost centres
     /// to the walls.
-    pub(super) fn from_distance(
-        distance: &[f32],
-        grid: &Grid,
-    ) -> Result<LiquidSurface, SurfaceError> {
+    pub(super) fn from_distance(distance: &[f32], grid: &Grid) -> Result<LiquidSurface, SurfaceError> {
         // A layer of copies around the cells and a layer of air around those, which closes the mesh beyond the walls.
         const LAYERS: usize = 2;
         let n = grid.cells.map(|n| n + 2 * LAYERS);
-        let samples = UniformGrid::<i64, f32>::new(
-            &Vector3::from_element(0.5 - LAYERS as f32),
-            &n.map(|n| n as i64 - 1),
-            1.0,
-        )?;
+        let samples =
+            UniformGrid::<i64, f32>::new(&Vector3::from_element(0.5 - LAYERS as f32), &n.map(|n| n as i64 - 1), 1.0)?;
         let mut depths = Vec::with_capacity(n.iter().product());
         // The last index of a point is the fastest.
         for i in 0..n[0] {
@@ -99,8 +91,7 @@ impl LiquidSurface {
                 for k in 0..n[2] {
                     let ijk = [i, j, k];
                     let outermost = (0..3).any(|axis| ijk[axis] == 0 || ijk[axis] == n[axis] - 1);
-                    let inner = [0, 1, 2]
-                        .map(|axis| ijk[axis].clamp(LAYERS, n[axis] - 1 - LAYERS) - LAYERS);
+                    let inner = [0, 1, 2].map(|axis| ijk[axis].clamp(LAYERS, n[axis] - 1 - LAYERS) - LAYERS);
                     depths.push(match outermost {
                         true => -1.0,
                         false => -distance[grid.cell(inner)] / grid.dx as f32,
@@ -131,12 +122,10 @@ impl LiquidSurface {
         for centre in centres.iter().map(|&centre| centred(centre)) {
             let first = self.vertices.len() as u32;
             let corners = icosahedron();
-            self.vertices
-                .extend(corners.map(|normal| centre + radius * normal));
+            self.vertices.extend(corners.map(|normal| centre + radius * normal));
             self.normals.extend(corners);
             let triangles = ICOSAHEDRON.iter();
-            self.triangles
-                .extend(triangles.map(|of| of.map(|corner| first + corner)));
+            self.triangles.extend(triangles.map(|of| of.map(|corner| first + corner)));
         }
     }
 
@@ -148,19 +137,14 @@ impl LiquidSurface {
         let triangles = mesh.triangles.iter();
         let mut mesh = ClosedMesh {
             vertices: vertices.map(|x| x.clamp(Vec3::ZERO, size)).collect(),
-            triangles: triangles
-                .map(|corners| corners.map(|corner| corner as u32))
-                .collect(),
+            triangles: triangles.map(|corners| corners.map(|corner| corner as u32)).collect(),
         };
         mesh.remove_degenerate(size);
         if smoothing > 0 {
             mesh.smooth(smoothing, size);
             mesh.remove_degenerate(size);
         }
-        let ClosedMesh {
-            vertices,
-            triangles,
-        } = mesh;
+        let ClosedMesh { vertices, triangles } = mesh;
         LiquidSurface {
             normals: normals(&vertices, &triangles, size),
             vertices: vertices.iter().map(|&x| x * grid.dx as f32).collect(),
@@ -247,8 +231,7 @@ fn sorted(mesh: TriMesh3d<f32>) -> TriMesh3d<f32> {
         .triangles
         .par_iter()
         .map(|&[a, b, c]| {
-            let turns =
-                [[a, b, c], [b, c, a], [c, a, b]].map(|corners| (corners.map(place), corners));
+            let turns = [[a, b, c], [b, c, a], [c, a, b]].map(|corners| (corners.map(place), corners));
             let [first, second, third] = turns;
             first.min(second).min(third)
         })
@@ -273,17 +256,11 @@ fn sorted(mesh: TriMesh3d<f32>) -> TriMesh3d<f32> {
         .into_iter()
         .map(|(_, corners)| {
             let [a, b, c] = corners.map(|corner| numbers[&corner]);
-            [[a, b, c], [b, c, a], [c, a, b]]
-                .into_iter()
-                .min()
-                .unwrap_or([a, b, c])
+            [[a, b, c], [b, c, a], [c, a, b]].into_iter().min().unwrap_or([a, b, c])
         })
         .collect();
     triangles.par_sort_unstable();
-    TriMesh3d {
-        vertices,
-        triangles,
-    }
+    TriMesh3d { vertices, triangles }
 }
 
 /// An integer with the order of the floating-point number.

@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::{
-    CouplingReport, Exchange, LiquidReport, SeparationReport, SolidReport, StepReport,
-};
+use crate::state::{CouplingReport, Exchange, LiquidReport, SeparationReport, SolidReport, StepReport};
 
 /// A CSV file of rows, flushed once per frame.
 #[derive(Debug)]
@@ -20,10 +18,7 @@ struct Table {
 impl Table {
     fn create(path: PathBuf) -> Result<Table, Error> {
         let file = File::create(&path).map_err(|problem| Error::unwritten(&path, &problem))?;
-        Ok(Table {
-            path,
-            writer: csv::Writer::from_writer(file),
-        })
+        Ok(Table { path, writer: csv::Writer::from_writer(file) })
     }
 
     /// Opens a table and truncates it to its first `bytes`. Also returns its columns, if it has any.
@@ -32,11 +27,8 @@ impl Table {
             let cure = "restore the table of the run, or start again with --overwrite";
             Error::input(path.display().to_string(), problem, cure)
         };
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .open(&path)
-            .map_err(|problem| unreadable(problem.to_string()))?;
+        let mut file =
+            OpenOptions::new().read(true).write(true).open(&path).map_err(|problem| unreadable(problem.to_string()))?;
         let mut head = None;
         if bytes > 0 {
             let mut last = [0];
@@ -48,9 +40,7 @@ impl Table {
                 return Err(unreadable(format!("has no row that ends at byte {bytes}")));
             }
             let mut reader = csv::Reader::from_reader(&file);
-            let columns = reader
-                .headers()
-                .map_err(|problem| unreadable(problem.to_string()))?;
+            let columns = reader.headers().map_err(|problem| unreadable(problem.to_string()))?;
             head = Some(columns.iter().map(str::to_owned).collect());
         }
         file.set_len(bytes)
@@ -61,12 +51,10 @@ impl Table {
     }
 
     fn record(&mut self, fields: impl IntoIterator<Item = String>) -> Result<(), Error> {
-        self.writer
-            .write_record(fields)
-            .map_err(|problem| match problem.into_kind() {
-                csv::ErrorKind::Io(problem) => Error::unwritten(&self.path, &problem),
-                problem => Error::output(&self.path, format!("{problem:?}")),
-            })
+        self.writer.write_record(fields).map_err(|problem| match problem.into_kind() {
+            csv::ErrorKind::Io(problem) => Error::unwritten(&self.path, &problem),
+            problem => Error::output(&self.path, format!("{problem:?}")),
+        })
     }
 
     fn flush(&mut self) -> Result<(), Error> {
@@ -84,10 +72,7 @@ impl Table {
         })
     }
 
-    fn with_writer<T>(
-        &mut self,
-        act: impl FnOnce(&mut csv::Writer<File>) -> io::Result<T>,
-    ) -> Result<T, Error> {
+    fn with_writer<T>(&mut self, act: impl FnOnce(&mut csv::Writer<File>) -> io::Result<T>) -> Result<T, Error> {
         act(&mut self.writer).map_err(|problem| Error::unwritten(&self.path, &problem))
     }
 }
@@ -97,11 +82,7 @@ fn number(column: &str, step: u64, value: f64) -> Result<String, Error> {
     if value.is_finite() {
         Ok(format!("{value:?}"))
     } else {
-        Err(Error::Stage {
-            stage: "diagnose",
-            step,
-            problem: format!("{column} is {value:?}"),
-        })
+        Err(Error::Stage { stage: "diagnose", step, problem: format!("{column} is {value:?}") })
     }
 }
 
@@ -137,17 +118,8 @@ impl StepRow<'_> {
     /// # Errors
     /// [`Error::Stage`] for a number that is not finite.
     pub fn fields(&self) -> Result<Vec<String>, Error> {
-        let StepRow {
-            step,
-            time,
-            report,
-            volume_ratio,
-        } = *self;
-        let mut fields = vec![
-            step.to_string(),
-            number("t", step, time)?,
-            number("dt", step, report.dt)?,
-        ];
+        let StepRow { step, time, report, volume_ratio } = *self;
+        let mut fields = vec![step.to_string(), number("t", step, time)?, number("dt", step, report.dt)?];
         if let (Some(liquid), Some(volume_ratio)) = (&report.liquid, volume_ratio) {
             fields.extend(liquid_fields(step, liquid, volume_ratio)?);
         }
@@ -195,22 +167,11 @@ const LIQUID: [&str; 16] = [
     "closed_components",
 ];
 /// Columns of inflow and outflow.
-const EXCHANGE: [&str; 6] = [
-    "markers_left",
-    "volume_left",
-    "markers_sunk",
-    "volume_sunk",
-    "markers_emitted",
-    "volume_emitted",
-];
+const EXCHANGE: [&str; 6] =
+    ["markers_left", "volume_left", "markers_sunk", "volume_sunk", "markers_emitted", "volume_emitted"];
 /// Columns of separation.
-const SEPARATION: [&str; 5] = [
-    "separated_cells",
-    "returned_cells",
-    "separation_rounds",
-    "least_pressure",
-    "opened_volume",
-];
+const SEPARATION: [&str; 5] =
+    ["separated_cells", "returned_cells", "separation_rounds", "least_pressure", "opened_volume"];
 const SOLIDS: [&str; 18] = [
     "solid_solves",
     "unsettled_contacts",
@@ -252,9 +213,7 @@ impl StepTable {
     /// liquid on the solids), m. `markers_dropped`, and the markers and volumes (m^3) that left, sank or were emitted, are
     /// counts of this sub-step. `dt_floored`, `touching` and `condensed` are 0 or 1. A `status` is `converged` or the
     /// failure. `inverted` counts elements.
-    pub fn columns(
-        [liquid, exchange, separation, solids]: [bool; 4],
-    ) -> impl Iterator<Item = &'static str> {
+    pub fn columns([liquid, exchange, separation, solids]: [bool; 4]) -> impl Iterator<Item = &'static str> {
         let parts: [(bool, &[&str]); 7] = [
             (true, &FIRST),
             (liquid, &LIQUID),
@@ -270,10 +229,7 @@ impl StepTable {
 
     /// Creates steps.csv in `run`; the first row determines the header.
     pub fn create(run: &Path) -> Result<StepTable, Error> {
-        Ok(StepTable {
-            table: Table::create(run.join("steps.csv"))?,
-            head: None,
-        })
+        Ok(StepTable { table: Table::create(run.join("steps.csv"))?, head: None })
     }
 
     /// Resumes steps.csv, truncated to its first `bytes`; an error if no row ends there.
@@ -328,14 +284,8 @@ impl StepTable {
     }
 }
 
-fn liquid_fields(
-    step: u64,
-    liquid: &LiquidReport,
-    volume_ratio: f64,
-) -> Result<Vec<String>, Error> {
-    let LiquidReport {
-        solve, diagnosis, ..
-    } = liquid;
+fn liquid_fields(step: u64, liquid: &LiquidReport, volume_ratio: f64) -> Result<Vec<String>, Error> {
+    let LiquidReport { solve, diagnosis, .. } = liquid;
     let real = |column: &str, value: f64| number(column, step, value);
     let mut fields = vec![
         solve.iterations.to_string(),
@@ -356,14 +306,7 @@ fn liquid_fields(
         liquid.closed_components.to_string(),
     ];
     if let Some(exchange) = liquid.exchange {
-        let Exchange {
-            left,
-            sunk,
-            emitted,
-            volume_left,
-            volume_sunk,
-            volume_emitted,
-        } = exchange;
+        let Exchange { left, sunk, emitted, volume_left, volume_sunk, volume_emitted } = exchange;
         for (markers, volume, column) in [
             (left, volume_left, "volume_left"),
             (sunk, volume_sunk, "volume_sunk"),
@@ -374,13 +317,7 @@ fn liquid_fields(
         }
     }
     if let Some(separation) = liquid.separation {
-        let SeparationReport {
-            cells,
-            returned,
-            rounds,
-            least_pressure,
-            opened,
-        } = separation;
+        let SeparationReport { cells, returned, rounds, least_pressure, opened } = separation;
         fields.extend([
             cells.to_string(),
             returned.to_string(),
@@ -393,11 +330,7 @@ fn liquid_fields(
 }
 
 fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
-    let SolidReport {
-        solve,
-        contact,
-        diagnosis,
-    } = solid;
+    let SolidReport { solve, contact, diagnosis } = solid;
     let real = |column: &str, value: f64| number(column, step, value);
     Ok(vec![
         contact.solves.to_string(),
@@ -422,17 +355,8 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
 }
 
 fn coupling_fields(step: u64, coupling: &CouplingReport) -> Result<Vec<String>, Error> {
-    let CouplingReport {
-        touching,
-        condensed,
-        force,
-        correction,
-        overlap_cells,
-        overlap_depth,
-    } = *coupling;
-    let mut fields = [touching, condensed]
-        .map(|is| u8::from(is).to_string())
-        .to_vec();
+    let CouplingReport { touching, condensed, force, correction, overlap_cells, overlap_depth } = *coupling;
+    let mut fields = [touching, condensed].map(|is| u8::from(is).to_string()).to_vec();
     let forces = force.into_iter().chain(correction);
     for (column, value) in COUPLING[2..].iter().zip(forces) {
         fields.push(number(column, step, value)?);
@@ -476,11 +400,7 @@ impl ProbeTable {
 
     /// Appends the values of all columns after a sub-step, numbered from 0, at a time (s).
     pub fn push(&mut self, step: u64, time: f64, values: &[f64]) -> Result<(), Error> {
-        assert_eq!(
-            values.len(),
-            self.columns.len(),
-            "one value for each column of probes.csv"
-        );
+        assert_eq!(values.len(), self.columns.len(), "one value for each column of probes.csv");
         let mut fields = vec![step.to_string(), number("t", step, time)?];
         for (column, &value) in self.columns.iter().zip(values) {
             fields.push(number(&format!("probe {column}"), step, value)?);

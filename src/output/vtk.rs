@@ -33,12 +33,9 @@ pub(super) fn write(path: &Path, data: DataSet, level: Compression) -> Result<()
         data,
         file_path: None,
     };
-    let file = vtk
-        .try_into_xml_format(Compressor::None, 0)
-        .map_err(|problem| Error::output(path, problem))?;
+    let file = vtk.try_into_xml_format(Compressor::None, 0).map_err(|problem| Error::output(path, problem))?;
     let mut bytes = Vec::new();
-    file.write(&mut bytes)
-        .map_err(|problem| Error::output(path, problem))?;
+    file.write(&mut bytes).map_err(|problem| Error::output(path, problem))?;
     let text = String::from_utf8(bytes).map_err(|problem| Error::output(path, problem))?;
     // vtkio omits NumberOfPoints = 0, which readers require of every piece without an extent.
     let text = text.replacen("<Piece>", "<Piece NumberOfPoints=\"0\">", 1);
@@ -58,10 +55,8 @@ fn compressed(text: &str, level: Compression) -> Option<String> {
         arrays.push((&rest[..start], &rest[start..end]));
         rest = &rest[end..];
     }
-    let contents: Option<Vec<String>> = arrays
-        .par_iter()
-        .map(|(_, content)| compressed_array(content, level))
-        .collect();
+    let contents: Option<Vec<String>> =
+        arrays.par_iter().map(|(_, content)| compressed_array(content, level)).collect();
     let mut all = String::with_capacity(text.len());
     for ((before, _), content) in arrays.iter().zip(contents?) {
         all += before;

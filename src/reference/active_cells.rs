@@ -24,11 +24,7 @@ impl ActiveCells {
     /// The active cells of an operator, and its enclosed components.
     pub fn new(stencil: Stencil) -> ActiveCells {
         let closed = closed_components(&stencil);
-        ActiveCells {
-            stencil,
-            closed,
-            sealed: Vec::new(),
-        }
+        ActiveCells { stencil, closed, sealed: Vec::new() }
     }
 
     /// Moves enclosed components with a patch on a free node from `closed` to `sealed`. `prescribed`: components of
@@ -36,9 +32,7 @@ impl ActiveCells {
     pub fn seal(&mut self, coupling: &Coupling, prescribed: &[[bool; 3]]) {
         let gives_way = |component: &[usize]| {
             let mut pairs = component.iter().flat_map(|&cell| coupling.cell_pairs(cell));
-            pairs.any(|pair| {
-                (0..3).any(|axis| !prescribed[pair.node][axis] && pair.value[axis] != 0.0)
-            })
+            pairs.any(|pair| (0..3).any(|axis| !prescribed[pair.node][axis] && pair.value[axis] != 0.0))
         };
         let closed = std::mem::take(&mut self.closed);
         let (sealed, closed) = closed.into_iter().partition(|cells| gives_way(cells));
@@ -57,21 +51,12 @@ pub fn theta(inside: f64, outside: f64, floor: f64) -> f64 {
 pub(super) const THETA_OF_SIDES: f64 = 0.5;
 
 /// Computes the active cells. `open`: face apertures, 0 on walls; `liquid_distance`: phi per cell, m.
-pub fn active_cells(
-    grid: &Grid,
-    open: &[Vec<f64>; 3],
-    liquid_distance: &[f64],
-    theta_floor: f64,
-) -> ActiveCells {
+pub fn active_cells(grid: &Grid, open: &[Vec<f64>; 3], liquid_distance: &[f64], theta_floor: f64) -> ActiveCells {
     let mut weight = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
     let mut dirichlet = vec![0.0; grid.n_cells()];
     for axis in Axis::ALL {
         let a = axis.index();
-        for (face, &fraction) in open[a]
-            .iter()
-            .enumerate()
-            .filter(|(_, fraction)| **fraction > 0.0)
-        {
+        for (face, &fraction) in open[a].iter().enumerate().filter(|(_, fraction)| **fraction > 0.0) {
             let sides = grid.face_sides(axis, grid.face_at(axis, face));
             let [Some(minus), Some(plus)] = sides else {
                 let inside = sides.into_iter().flatten();

@@ -63,8 +63,7 @@ pub fn carry_level(
     let carry = |cell: usize| {
         let x = grid.cell_centre(grid.cell_at(cell));
         let x = ballistic.origin_about(grid, grid.traced(faces, x, -dt));
-        grid.sample_cells(level, x)
-            .max(beyond_side(grid, open_sides, x))
+        grid.sample_cells(level, x).max(beyond_side(grid, open_sides, x))
     };
     (0..grid.n_cells()).into_par_iter().map(carry).collect()
 }

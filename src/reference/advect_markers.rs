@@ -174,9 +174,7 @@ fn stopped(grid: &Grid, solid_distance: &[f64], end: DVec3, mut v: DVec3) -> DVe
         }
     }
     match normal(grid, solid_distance, end) {
-        Some(outwards) if grid.sample_cells(solid_distance, end) < 0.0 => {
-            v - v.dot(outwards).min(0.0) * outwards
-        }
+        Some(outwards) if grid.sample_cells(solid_distance, end) < 0.0 => v - v.dot(outwards).min(0.0) * outwards,
         _ => v,
     }
 }
@@ -225,12 +223,7 @@ impl Layer {
 
 /// Clamps, pushes out or removes a marker that has moved to `end`.
 fn clamp_or_remove(grid: &Grid, open_sides: Sides, solid_distance: &[f64], end: DVec3) -> Moved {
-    let inside = |x: DVec3| {
-        x.clamp(
-            DVec3::splat(WALL_GAP * grid.dx),
-            grid.size() - WALL_GAP * grid.dx,
-        )
-    };
+    let inside = |x: DVec3| x.clamp(DVec3::splat(WALL_GAP * grid.dx), grid.size() - WALL_GAP * grid.dx);
     let beyond = |axis: Axis| {
         let (at, size) = (end[axis.index()], grid.size()[axis.index()]);
         (at < 0.0 && open_sides.has(axis, 0)) || (at > size && open_sides.has(axis, 1))
@@ -248,9 +241,5 @@ fn clamp_or_remove(grid: &Grid, open_sides: Sides, solid_distance: &[f64], end: 
             x = inside(x + (SOLID_GAP * grid.dx - depth) * outwards);
         }
     }
-    if grid.sample_cells(solid_distance, x) >= 0.0 {
-        Moved::Kept(x)
-    } else {
-        Moved::Dropped
-    }
+    if grid.sample_cells(solid_distance, x) >= 0.0 { Moved::Kept(x) } else { Moved::Dropped }
 }

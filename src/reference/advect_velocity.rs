@@ -31,15 +31,10 @@ pub fn advect_velocity(
     dt: f64,
 ) -> [Vec<f64>; 3] {
     let shown = shown_to_whole(grid, open, faces);
-    let carry =
-        |field: &[Vec<f64>; 3], axis, face| carried(grid, field, ballistic, dt, (axis, face));
+    let carry = |field: &[Vec<f64>; 3], axis, face| carried(grid, field, ballistic, dt, (axis, face));
     Axis::ALL.map(|axis| {
         let carried = (0..grid.n_faces(axis)).into_par_iter().map(|face| {
-            mixed(
-                wholeness(open[axis.index()][face]),
-                || carry(faces, axis, face),
-                || carry(&shown, axis, face),
-            )
+            mixed(wholeness(open[axis.index()][face]), || carry(faces, axis, face), || carry(&shown, axis, face))
         });
         carried.collect()
     })
@@ -74,25 +69,13 @@ pub fn advect_velocity_maccormack(
                 false => first[face],
             }
         };
-        let all = all().map(|face| {
-            mixed(
-                wholeness(open[a][face]),
-                || carry(faces, face),
-                || correct(face),
-            )
-        });
+        let all = all().map(|face| mixed(wholeness(open[a][face]), || carry(faces, face), || correct(face)));
         all.collect()
     })
 }
 
 /// Velocity of a face after the first order of the transport, m/s.
-fn carried(
-    grid: &Grid,
-    field: &[Vec<f64>; 3],
-    ballistic: &Ballistic,
-    dt: f64,
-    (axis, face): (Axis, usize),
-) -> f64 {
+fn carried(grid: &Grid, field: &[Vec<f64>; 3], ballistic: &Ballistic, dt: f64, (axis, face): (Axis, usize)) -> f64 {
     let x = origin(grid, field, ballistic, dt, (axis, face));
     x.map_or(0.0, |x| grid.sample(axis, &field[axis.index()], x))
 }

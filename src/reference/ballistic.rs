@@ -68,13 +68,9 @@ pub fn hold_near_others(
     velocity: &[[f64; 3]],
     ballistic: &mut [bool],
 ) {
-    let end = |node: usize| {
-        solids.rest[node] + DVec3::from(displacement[node]) + dt * DVec3::from(velocity[node])
-    };
+    let end = |node: usize| solids.rest[node] + DVec3::from(displacement[node]) + dt * DVec3::from(velocity[node]);
     let boxes = solids.bodies.iter();
-    let boxes: Vec<[DVec3; 2]> = boxes
-        .map(|body| bounds(body.nodes.clone().map(end)))
-        .collect();
+    let boxes: Vec<[DVec3; 2]> = boxes.map(|body| bounds(body.nodes.clone().map(end))).collect();
     for (number, [low, high]) in boxes.iter().enumerate() {
         let near = |(other, [from, to]): (usize, &[DVec3; 2])| {
             other != number && from.cmple(*high + dx).all() && to.cmpge(*low - dx).all()
@@ -113,21 +109,11 @@ impl<'a> Ballistic<'a> {
     /// For a move of dt (s) under gravity (m/s^2).
     pub fn new(filled: &'a [bool], cells: &'a [bool], gravity: DVec3, dt: f64) -> Ballistic<'a> {
         let cells = if cells.contains(&true) { cells } else { &[] };
-        Ballistic {
-            filled,
-            cells,
-            shift: 0.5 * dt * dt * gravity,
-            offset: DVec3::ZERO,
-        }
+        Ballistic { filled, cells, shift: 0.5 * dt * dt * gravity, offset: DVec3::ZERO }
     }
 
     /// No ballistic liquid.
-    pub const NONE: Ballistic<'static> = Ballistic {
-        filled: &[],
-        cells: &[],
-        shift: DVec3::ZERO,
-        offset: DVec3::ZERO,
-    };
+    pub const NONE: Ballistic<'static> = Ballistic { filled: &[], cells: &[], shift: DVec3::ZERO, offset: DVec3::ZERO };
 
     /// Whether no cell is ballistic.
     pub fn is_none(&self) -> bool {

@@ -45,14 +45,9 @@ impl BaseBlock {
 
     /// The block with the velocities of a step of dt (s).
     pub(super) fn with_step(n: usize, dt: f64) -> BaseBlock {
-        let grid = Grid {
-            cells: [n; 3],
-            dx: 1.0 / n as f64,
-        };
+        let grid = Grid { cells: [n; 3], dx: 1.0 / n as f64 };
         let faces = |axis: Axis, value: &dyn Fn([usize; 3]) -> f64| -> Vec<f64> {
-            (0..grid.n_faces(axis))
-                .map(|face| value(grid.face_at(axis, face)))
-                .collect()
+            (0..grid.n_faces(axis)).map(|face| value(grid.face_at(axis, face))).collect()
         };
         let open = Axis::ALL.map(|axis| {
             let a = axis.index();
@@ -60,20 +55,11 @@ impl BaseBlock {
                 if (1..n).contains(&ijk[a]) { 1.0 } else { 0.0 }
             })
         });
-        let velocity = Axis::ALL.map(|axis| {
-            faces(axis, &|ijk| {
-                velocity(grid.face_centre(axis, ijk), dt)[axis.index()]
-            })
-        });
-        let liquid_distance = (0..grid.n_cells())
-            .map(|cell| liquid_distance(grid.cell_centre(grid.cell_at(cell))))
-            .collect();
-        BaseBlock {
-            grid,
-            open,
-            liquid_distance,
-            velocity,
-        }
+        let velocity =
+            Axis::ALL.map(|axis| faces(axis, &|ijk| velocity(grid.face_centre(axis, ijk), dt)[axis.index()]));
+        let liquid_distance =
+            (0..grid.n_cells()).map(|cell| liquid_distance(grid.cell_centre(grid.cell_at(cell)))).collect();
+        BaseBlock { grid, open, liquid_distance, velocity }
     }
 
     /// Pressure system of the block.

@@ -86,14 +86,8 @@ impl BaseScene {
         let (low, high) = (DVec3::new(0.43, 0.47, 0.24), DVec3::new(0.51, 0.55, 0.80));
         let solid = Solid {
             name: "beam".to_owned(),
-            mesh: SolidMesh::Box {
-                size: high - low,
-                cells: beam.bricks,
-            },
-            placement: Placement {
-                translate: 0.5 * (low + high),
-                ..Placement::default()
-            },
+            mesh: SolidMesh::Box { size: high - low, cells: beam.bricks },
+            placement: Placement { translate: 0.5 * (low + high), ..Placement::default() },
             stretch: DVec3::ONE,
             initial: Initial::default(),
             density: beam.density,
@@ -103,10 +97,7 @@ impl BaseScene {
             mass_damping: beam.mass_damping,
             stiffness_damping: beam.stiffness_damping,
             pins: vec![Pin {
-                region: Shape::Box {
-                    min: low.with_z(high.z),
-                    max: high,
-                },
+                region: Shape::Box { min: low.with_z(high.z), max: high },
                 components: [true; 3],
                 keyframes: Vec::new(),
                 pivot: None,
@@ -116,21 +107,12 @@ impl BaseScene {
         let mesh = TetMesh::new(&solid, "base scene")?;
         let solids = Solids::from_solids(&[solid], &[mesh], &|key| format!("base scene: {key}"))?;
         let bent = solids.rest.iter().map(|&rest| bent(rest));
-        let displacement = bent
-            .zip(&solids.rest)
-            .map(|(x, rest)| (x - rest).to_array());
+        let displacement = bent.zip(&solids.rest).map(|(x, rest)| (x - rest).to_array());
         let displacement: Vec<[f64; 3]> = displacement.collect();
-        let nodes = displacement
-            .iter()
-            .zip(&solids.rest)
-            .zip(&solids.prescribed);
+        let nodes = displacement.iter().zip(&solids.rest).zip(&solids.prescribed);
         let velocity = nodes.map(|((&u, &rest), prescribed)| {
             let x = rest + DVec3::from(u);
-            let v = [
-                0.3 * (3.0 * x.z).sin(),
-                0.2 * (4.0 * x.x).cos(),
-                0.1 * (2.0 * x.y).sin() + GRAVITY * beam.dt,
-            ];
+            let v = [0.3 * (3.0 * x.z).sin(), 0.2 * (4.0 * x.x).cos(), 0.1 * (2.0 * x.y).sin() + GRAVITY * beam.dt];
             std::array::from_fn(|axis| if prescribed[axis] { 0.0 } else { v[axis] })
         });
         Ok(BaseScene {

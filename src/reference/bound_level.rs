@@ -45,8 +45,7 @@ pub fn thin_liquid(grid: &Grid, level: &[f64]) -> Vec<bool> {
         let a = axis.index();
         let near = |cell: usize| {
             let mut ijk = grid.cell_at(cell);
-            let range =
-                ijk[a].saturating_sub(THIN_REACH)..(ijk[a] + THIN_REACH + 1).min(grid.cells[a]);
+            let range = ijk[a].saturating_sub(THIN_REACH)..(ijk[a] + THIN_REACH + 1).min(grid.cells[a]);
             range.into_iter().any(|at| {
                 ijk[a] = at;
                 thick[grid.cell(ijk)]
@@ -93,9 +92,7 @@ fn curvature(cells: LevelCells, level: &[f64], cell: usize) -> f64 {
     if phi.abs() >= CURVED {
         return 0.0;
     }
-    let around = Axis::ALL
-        .into_iter()
-        .flat_map(|axis| cells.across(cell, axis));
+    let around = Axis::ALL.into_iter().flat_map(|axis| cells.across(cell, axis));
     let sum: f64 = around.map(|other| level[other] - phi).sum();
     sum.clamp(-LARGEST_CURVATURE, LARGEST_CURVATURE)
 }

@@ -41,13 +41,7 @@ impl Boundary {
     }
 
     /// Moves the obstacles to a time, with the mean velocities of the next dt (both s), and clips solids with a displacement (m).
-    pub(super) fn update(
-        &mut self,
-        solids: Option<&Solids>,
-        displacement: &[[f64; 3]],
-        time: f64,
-        dt: f64,
-    ) {
+    pub(super) fn update(&mut self, solids: Option<&Solids>, displacement: &[[f64; 3]], time: f64, dt: f64) {
         if let Boundary::Moving(clip) = self {
             clip.move_obstacles(time, dt);
             if let Some(solids) = solids {

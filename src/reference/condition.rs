@@ -11,8 +11,8 @@
 use super::{Blocks, CoupledSystem, Multigrid};
 use crate::Error;
 use crate::linalg::{
-    CgEnd, Cholesky, Csr, LinearOperator, Solve, SymbolicCholesky, conjugate_gradient, eigenvalues,
-    inverse_one_norm, largest_magnitude, smallest_magnitude,
+    CgEnd, Cholesky, Csr, LinearOperator, Solve, SymbolicCholesky, conjugate_gradient, eigenvalues, inverse_one_norm,
+    largest_magnitude, smallest_magnitude,
 };
 
 /// Of the recurrence of a solve.
@@ -68,16 +68,12 @@ pub fn conditions(system: &CoupledSystem, sigma: f64, alpha: f64) -> Result<Cond
     };
     let condition = |matrix: Csr, solve: Solve| {
         let n = matrix.n_rows();
-        let scales: Vec<f64> = (0..n)
-            .map(|row| if row < n_cells { 1.0 } else { alpha })
-            .collect();
+        let scales: Vec<f64> = (0..n).map(|row| if row < n_cells { 1.0 } else { alpha }).collect();
         let matrix = matrix.scaled(&scales, &scales);
         let two_norm = largest_magnitude(&matrix)? / smallest_magnitude(n, solve)?;
         // Of a symmetric matrix rows add up to what columns do.
         let one_norm = matrix.infinity_norm() * inverse_one_norm(n, solve)?;
-        let all = (n <= EXACT_UP_TO)
-            .then(|| eigenvalues(&matrix))
-            .transpose()?;
+        let all = (n <= EXACT_UP_TO).then(|| eigenvalues(&matrix)).transpose()?;
         let exact = all.map(|all| {
             let sizes = all.iter().map(|value| value.abs());
             sizes.clone().fold(0.0, f64::max) / sizes.fold(f64::INFINITY, f64::min)
@@ -126,14 +122,7 @@ impl Inverse<'_> {
         self.add_flux(&free, &mut rhs);
         let mut p = vec![0.0; rhs.len()];
         let preconditioner = OnCells(self);
-        let report = conjugate_gradient(
-            self,
-            &preconditioner,
-            &rhs,
-            &mut p,
-            TOLERANCE,
-            MOST_ITERATIONS,
-        );
+        let report = conjugate_gradient(self, &preconditioner, &rhs, &mut p, TOLERANCE, MOST_ITERATIONS);
         if report.end != CgEnd::Converged {
             let n = e.len() + w.len();
             return Err(Error::input(

@@ -113,10 +113,7 @@ impl Touching<'_> {
             let n = (weight * pair.normal).to_array().into_iter().enumerate();
             n.map(move |(axis, n)| (3 * node as usize + axis, n))
         });
-        Some(Row {
-            entries: entries.collect(),
-            least: -pair.gap.max(0.0) / self.dt,
-        })
+        Some(Row { entries: entries.collect(), least: -pair.gap.max(0.0) / self.dt })
     }
 }
 
@@ -124,11 +121,7 @@ impl Touching<'_> {
 ///
 /// # Errors
 /// When the factor does not fit into memory.
-fn unilateral(
-    solver: &SolidSolver,
-    system: &SolidSystem,
-    rows: Vec<Row>,
-) -> Result<Option<UnilateralRows>, Error> {
+fn unilateral(solver: &SolidSolver, system: &SolidSystem, rows: Vec<Row>) -> Result<Option<UnilateralRows>, Error> {
     let Some(factor) = solver.factorise(system)? else {
         return Ok(None);
     };
@@ -155,10 +148,7 @@ pub(super) fn solve_in_rows(
     settings: &Solver,
 ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
     let (free, report) = solver.solve(touching.solids, system, settings)?;
-    let none = ContactReport {
-        solves: 1,
-        unsettled: 0,
-    };
+    let none = ContactReport { solves: 1, unsettled: 0 };
     let without = system.clone();
     let mut known = Vec::new();
     let mut solved = (free.clone(), report, none);
@@ -179,10 +169,7 @@ pub(super) fn solve_in_rows(
         system.push(&rows.forces(&found.z));
         let (velocity, mut report) = solver.solve(touching.solids, system, settings)?;
         report.iterations += solved.1.iterations;
-        let mut contact = ContactReport {
-            solves: found.pivots,
-            unsettled: found.wrong,
-        };
+        let mut contact = ContactReport { solves: found.pivots, unsettled: found.wrong };
         if meetings > 0 {
             contact.solves += solved.2.solves;
         }
@@ -202,10 +189,7 @@ pub(super) fn solve_coupled_in_rows(
     touching: Touching,
 ) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
     let (system, solution) = together.solve(solid, None)?;
-    let mut report = ContactReport {
-        solves: 1,
-        unsettled: 0,
-    };
+    let mut report = ContactReport { solves: 1, unsettled: 0 };
     let free = solution.velocity.as_flattened().to_vec();
     let mut known = Vec::new();
     let mut best = (system, solution);

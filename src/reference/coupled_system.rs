@@ -38,11 +38,7 @@ pub struct CoupledSystem {
 
 impl CoupledSystem {
     /// Assembles the system. `coupling` covers all cells.
-    pub fn new(
-        mut pressure: PressureSystem,
-        solid: SolidSystem,
-        coupling: &Coupling,
-    ) -> CoupledSystem {
+    pub fn new(mut pressure: PressureSystem, solid: SolidSystem, coupling: &Coupling) -> CoupledSystem {
         let coupling = coupling.restricted(|cell| pressure.stencil.active(cell));
         let (n_cells, n_components) = (pressure.rhs.len(), solid.rhs.len());
         let prescribed = solid.velocity(&vec![0.0; n_components]);
@@ -62,23 +58,13 @@ impl CoupledSystem {
         let constrained = constrained.filter(|cells| !cells.iter().any(moves));
         let constrained: Vec<Vec<usize>> = constrained.cloned().collect();
         // Gaps that contacts close in a sub-step are not prescribed motion.
-        let squeezed = pressure
-            .squeezed(&pressure.closed, Some(&flux))
-            .max(pressure.squeezed(&constrained, None));
+        let squeezed = pressure.squeezed(&pressure.closed, Some(&flux)).max(pressure.squeezed(&constrained, None));
         let mut rhs = std::mem::take(&mut pressure.rhs);
         pressure.remove_closed_means(&mut rhs);
         remove_means(&constrained, &mut rhs);
         pressure.rhs.clone_from(&rhs);
         rhs.extend(&solid.rhs);
-        CoupledSystem {
-            constrained,
-            components: solid.components(),
-            pressure,
-            solid,
-            coupling,
-            rhs,
-            squeezed,
-        }
+        CoupledSystem { constrained, components: solid.components(), pressure, solid, coupling, rhs, squeezed }
     }
 
     /// Cells of each liquid component with undetermined pressure level.
@@ -123,9 +109,7 @@ impl CoupledSystem {
     pub(super) fn unbalanced(&self, solution: &CoupledSolution) -> Vec<f64> {
         let products = self.solid.multiply(&solution.velocity).into_iter();
         let sums = products.zip(self.solid.forces());
-        let sums: Vec<[f64; 3]> = sums
-            .map(|(product, force)| (DVec3::from(*force) - product).to_array())
-            .collect();
+        let sums: Vec<[f64; 3]> = sums.map(|(product, force)| (DVec3::from(*force) - product).to_array()).collect();
         let force = self.force(&solution.pressure);
         let free = self.solid.free_part(&sums).into_iter();
         free.zip(force).map(|(sum, force)| sum + force).collect()
@@ -146,9 +130,9 @@ impl CoupledSystem {
             for pair in self.coupling.cell_pairs(cells[row]) {
                 let free = self.solid.freedom()[pair.node].projector * pair.value;
                 let values = free.to_array().into_iter().enumerate();
-                entries.extend(values.filter_map(|(axis, value)| {
-                    column[3 * pair.node + axis].map(|column| (column, value))
-                }));
+                entries.extend(
+                    values.filter_map(|(axis, value)| column[3 * pair.node + axis].map(|column| (column, value))),
+                );
             }
         });
         let pinned: Vec<usize> = self.level_free().map(|cells| cells[0]).collect();
@@ -249,14 +233,10 @@ impl LinearSystem for CoupledSystem {
             pair.value.abs().dot(velocity.abs())
         };
         let rows = self.coupling.cells();
-        let fluxes: Vec<f64> = rows
-            .map(|(_, pairs)| pairs.iter().map(flux_scale).sum())
-            .collect();
+        let fluxes: Vec<f64> = rows.map(|(_, pairs)| pairs.iter().map(flux_scale).sum()).collect();
         let force_scale = |pair: &CellNode| pair.value.length() * pressure[pair.cell].abs();
         let nodes = 0..self.coupling.n_nodes();
-        let forces: Vec<f64> = nodes
-            .map(|node| self.coupling.node_pairs(node).iter().map(force_scale).sum())
-            .collect();
+        let forces: Vec<f64> = nodes.map(|node| self.coupling.node_pairs(node).iter().map(force_scale).sum()).collect();
         let n_cells = self.n_cells();
         vec![
             Part {
@@ -287,10 +267,7 @@ impl<'a> TwoField<'a> {
     /// `sigma`: fraction of the mass in Z1, between 0 and 1.
     pub fn new(system: &'a CoupledSystem, sigma: f64) -> TwoField<'a> {
         let mass = system.solid.mass_term();
-        TwoField {
-            system,
-            z1: (0..3 * mass.len()).map(|at| sigma * mass[at / 3]).collect(),
-        }
+        TwoField { system, z1: (0..3 * mass.len()).map(|at| sigma * mass[at / 3]).collect() }
     }
 
     /// Z1 per component, kg/s.

@@ -17,10 +17,7 @@ use crate::state::Diagnosis;
 
 /// Open volume of every cell, m^3.
 pub fn open_volumes(grid: &Grid, solid_distance: &[f64]) -> Vec<f64> {
-    solid_distance
-        .iter()
-        .map(|&distance| grid.cell_volume() * open_volume(distance, grid.dx))
-        .collect()
+    solid_distance.iter().map(|&distance| grid.cell_volume() * open_volume(distance, grid.dx)).collect()
 }
 
 /// Liquid volume, m^3: sum over all cells of their open volume times clamp(1/2 - phi/dx, 0, 1).
@@ -42,12 +39,7 @@ pub fn larger(a: f64, b: f64) -> f64 {
 /// Largest divergence in an active cell after the projection, 1/s; NaN if any is NaN. `velocity`: face velocities
 /// before extrapolation, m/s. `open`: face apertures, including those of sources. `flux`: prescribed boundary flux J
 /// v of solids and obstacles per cell, m^3/s.
-pub fn divergence(
-    open: &[Vec<f64>; 3],
-    velocity: &[Vec<f64>; 3],
-    stencil: &Stencil,
-    flux: Option<&[f64]>,
-) -> f64 {
+pub fn divergence(open: &[Vec<f64>; 3], velocity: &[Vec<f64>; 3], stencil: &Stencil, flux: Option<&[f64]>) -> f64 {
     let grid = &stencil.grid;
     let active = (0..grid.n_cells()).filter(|&cell| stencil.active(cell));
     let left = active.map(|cell| {
@@ -73,8 +65,7 @@ pub fn diagnose(
     let (mut kinetic_energy, mut potential_energy) = (0.0, 0.0);
     for cell in 0..grid.n_cells() {
         let ijk = grid.cell_at(cell);
-        let mass =
-            density * open_volumes[cell] * (0.5 - liquid_distance[cell] / grid.dx).clamp(0.0, 1.0);
+        let mass = density * open_volumes[cell] * (0.5 - liquid_distance[cell] / grid.dx).clamp(0.0, 1.0);
         if mass > 0.0 {
             let v = cell_velocity(grid, velocity, ijk);
             momentum += mass * v;

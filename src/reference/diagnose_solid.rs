@@ -30,9 +30,7 @@ pub fn diagnose_solid(
         angular_momentum += mass * x.cross(v);
         kinetic_energy += 0.5 * mass * v.length_squared();
         potential_energy -= mass * gravity.dot(x);
-        max_speed = velocity[node]
-            .iter()
-            .fold(max_speed, |max, v| larger(max, v.abs()));
+        max_speed = velocity[node].iter().fold(max_speed, |max, v| larger(max, v.abs()));
     }
     let (mut elastic_energy, mut min_det, mut inverted) = (0.0, f64::INFINITY, 0);
     for (element, deformation) in deformations.iter().enumerate() {

@@ -26,13 +26,7 @@ const DEAD_BAND: f64 = 0.06;
 const TIMES: [f64; 2] = [2.5, 1.5];
 
 /// e per cell. `renewed`: see [`renewed_volume`](super::renewed_volume), m^3; `level` in cells.
-pub fn excess(
-    cells: LevelCells,
-    components: &Components,
-    renewed: f64,
-    occupancy: &[f64],
-    level: &[f64],
-) -> Vec<f64> {
+pub fn excess(cells: LevelCells, components: &Components, renewed: f64, occupancy: &[f64], level: &[f64]) -> Vec<f64> {
     let counts = |cell: usize| level[cell] < -DEPTH && occupancy[cell] != UNKNOWN;
     let all = || 0..level.len();
     let weight = all().map(|cell| match counts(cell) {

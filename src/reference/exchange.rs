@@ -32,11 +32,7 @@ pub struct Seeded {
 }
 
 /// Removes the markers (m) in cells of sinks. Returns the others in order, and the number removed.
-pub fn sink_markers(
-    grid: &Grid,
-    taps: &SourcesAndSinks,
-    markers: Vec<[f64; 3]>,
-) -> (Vec<[f64; 3]>, u64) {
+pub fn sink_markers(grid: &Grid, taps: &SourcesAndSinks, markers: Vec<[f64; 3]>) -> (Vec<[f64; 3]>, u64) {
     if taps.sink_cells.is_empty() {
         return (markers, 0);
     }
@@ -59,10 +55,7 @@ pub fn seed_markers(
     let mut counts = vec![0; taps.source_cells.len()];
     for &x in markers.iter() {
         let cell = cell_of(grid, x);
-        if let Ok(found) = taps
-            .source_cells
-            .binary_search_by_key(&cell, |&(cell, _)| cell)
-        {
+        if let Ok(found) = taps.source_cells.binary_search_by_key(&cell, |&(cell, _)| cell) {
             counts[found] += usize::from(taps.eighths[found] >> eighth_of(grid, x) & 1);
         }
     }
@@ -125,9 +118,8 @@ pub fn emit_markers(
 /// Site in one of the cells of a lattice that may meet an octant, relative to its low corner, units.
 fn site(seed: u32, lattice: &Lattice, octant: [i64; 3], corner: usize) -> [i64; 3] {
     let below = [0, 1, 2].map(|a| (corner >> a & 1) as i64);
-    let of_cell = (0..3).fold(scatter(seed), |bits, a| {
-        scatter(bits ^ (octant[a] - i64::from(lattice.whole[a]) - below[a]) as u32)
-    });
+    let of_cell = (0..3)
+        .fold(scatter(seed), |bits, a| scatter(bits ^ (octant[a] - i64::from(lattice.whole[a]) - below[a]) as u32));
     let mut bits = of_cell;
     [0, 1, 2].map(|a| {
         bits = scatter(bits);
@@ -136,16 +128,8 @@ fn site(seed: u32, lattice: &Lattice, octant: [i64; 3], corner: usize) -> [i64; 
 }
 
 /// Position of marker `number` in a cell with `count` markers in its eighths, m.
-fn place(
-    grid: &Grid,
-    sources: &Running,
-    (cell, eighths): (usize, u8),
-    count: usize,
-    number: usize,
-) -> DVec3 {
-    let cell_hash = [sources.seed, sources.step, cell as u32]
-        .into_iter()
-        .fold(0, |bits, part| scatter(bits ^ part));
+fn place(grid: &Grid, sources: &Running, (cell, eighths): (usize, u8), count: usize, number: usize) -> DVec3 {
+    let cell_hash = [sources.seed, sources.step, cell as u32].into_iter().fold(0, |bits, part| scatter(bits ^ part));
     let turn = (number + cell_hash as usize) % eighths.count_ones() as usize;
     let mut full = (0..MARKERS_PER_CELL).filter(|eighth| eighths >> eighth & 1 == 1);
     let eighth = full.nth(turn).expect("the turn is below the count");
@@ -169,9 +153,7 @@ fn scatter(x: u32) -> u32 {
 }
 
 fn cell_of(grid: &Grid, x: [f64; 3]) -> usize {
-    grid.cell(std::array::from_fn(|a| {
-        ((x[a] / grid.dx) as usize).min(grid.cells[a] - 1)
-    }))
+    grid.cell(std::array::from_fn(|a| ((x[a] / grid.dx) as usize).min(grid.cells[a] - 1)))
 }
 
 /// The eighth of its cell that contains a point.
@@ -182,18 +164,10 @@ fn eighth_of(grid: &Grid, x: [f64; 3]) -> usize {
 }
 
 /// In `forces`: sets u* (m/s) on the faces of running sources. Closed faces are unchanged.
-pub fn hold_faces(
-    taps: &SourcesAndSinks,
-    open: &[Vec<f64>; 3],
-    running: u32,
-    velocity: &mut [Vec<f64>; 3],
-) {
+pub fn hold_faces(taps: &SourcesAndSinks, open: &[Vec<f64>; 3], running: u32, velocity: &mut [Vec<f64>; 3]) {
     for face in &taps.faces {
         let a = face.axis.index();
-        if let Some(source) = face
-            .prescribed(running)
-            .filter(|_| open[a][face.face] > 0.0)
-        {
+        if let Some(source) = face.prescribed(running).filter(|_| open[a][face.face] > 0.0) {
             velocity[a][face.face] = source.velocity;
         }
     }
@@ -240,18 +214,8 @@ pub struct Passed {
 ///
 /// Markers that left or were deleted reduce the volume as in [`volume_without`]. Each marker that fills a starting
 /// source adds an eighth of a cell after the sub-step.
-pub fn exchanged_volume(
-    grid: &Grid,
-    volume_0: f64,
-    inflow: f64,
-    passed: Passed,
-) -> ([f64; 2], Exchange) {
-    let Passed {
-        left,
-        sunk,
-        seeded,
-        kept,
-    } = passed;
+pub fn exchanged_volume(grid: &Grid, volume_0: f64, inflow: f64, passed: Passed) -> ([f64; 2], Exchange) {
+    let Passed { left, sunk, seeded, kept } = passed;
     let controlled = volume_without(volume_0 + inflow, left + sunk, kept);
     let removed = volume_0 + inflow - controlled;
     let filled = seeded.filled as f64 * grid.cell_volume() / MARKERS_PER_CELL as f64;

@@ -53,8 +53,7 @@ impl MovingWalls<'_> {
             return self.clip.obstacles().wall_velocity(cell);
         };
         let corners = self.triangles[nearest.triangle].iter().zip(nearest.weights);
-        let parts =
-            corners.map(|(&node, weight)| weight * DVec3::from(self.velocity[node as usize]));
+        let parts = corners.map(|(&node, weight)| weight * DVec3::from(self.velocity[node as usize]));
         Some(parts.sum::<DVec3>())
     }
 
@@ -117,19 +116,10 @@ pub fn extrapolate_one_sided(
 
 /// Difference of u1 + minmod(u1 - u2, u2 - u3) from u1, the value of the neighbour `at` of the face `ijk`; 0 without valid
 /// faces in a row.
-fn slope(
-    grid: &Grid,
-    axis: Axis,
-    valid: &[bool],
-    values: &[f64],
-    [ijk, at]: [[usize; 3]; 2],
-    largest: f64,
-) -> f64 {
+fn slope(grid: &Grid, axis: Axis, valid: &[bool], values: &[f64], [ijk, at]: [[usize; 3]; 2], largest: f64) -> f64 {
     let n = grid.faces(axis);
     let behind = |steps: usize| {
-        let place = std::array::from_fn(|b| {
-            at[b].wrapping_add(at[b].wrapping_sub(ijk[b]).wrapping_mul(steps))
-        });
+        let place = std::array::from_fn(|b| at[b].wrapping_add(at[b].wrapping_sub(ijk[b]).wrapping_mul(steps)));
         let inside = (0..3).all(|b| place[b] < n[b]);
         let face = inside.then(|| grid.face(axis, place));
         face.filter(|&face| valid[face]).map(|face| values[face])
@@ -144,13 +134,7 @@ fn slope(
     }
 }
 
-fn extend(
-    grid: &Grid,
-    axis: Axis,
-    mut valid: Vec<bool>,
-    (layers, largest): (usize, f64),
-    values: &mut [f64],
-) {
+fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, (layers, largest): (usize, f64), values: &mut [f64]) {
     let n = grid.faces(axis);
     for layer in 0..layers {
         let slopes = layer == 0 && largest > 0.0;
@@ -159,8 +143,7 @@ fn extend(
             // Sums and counts of the neighbours that differ in one, two and three indices.
             let mut means = [(0.0, 0_u32); 3];
             let around = ijk.map(|index| index.saturating_sub(1)..=index + 1);
-            let [is, js, ks] =
-                std::array::from_fn(|b| around[b].clone().filter(move |&index| index < n[b]));
+            let [is, js, ks] = std::array::from_fn(|b| around[b].clone().filter(move |&index| index < n[b]));
             for k in ks {
                 for j in js.clone() {
                     for i in is.clone() {
@@ -181,20 +164,14 @@ fn extend(
             let nearest = means.into_iter().find(|&(_, count)| count > 0);
             nearest.map(|(sum, count)| (face, sum / f64::from(count)))
         };
-        let unknown = (0..values.len())
-            .into_par_iter()
-            .filter(|&face| !valid[face]);
+        let unknown = (0..values.len()).into_par_iter().filter(|&face| !valid[face]);
         let reached: Vec<_> = unknown.filter_map(mean).collect();
         for (face, value) in reached {
             values[face] = value;
             valid[face] = true;
         }
     }
-    values
-        .iter_mut()
-        .zip(&valid)
-        .filter(|(_, valid)| !**valid)
-        .for_each(|(value, _)| *value = 0.0);
+    values.iter_mut().zip(&valid).filter(|(_, valid)| !**valid).for_each(|(value, _)| *value = 0.0);
 }
 
 /// Whether liquid may leave the wall or body behind a closed face.
@@ -204,12 +181,7 @@ fn leaves(grid: &Grid, held: Option<&[bool]>, axis: Axis, face: [usize; 3]) -> b
 }
 
 /// Removes velocities into closed sides of the domain, and out of those that liquid does not leave.
-fn close_walls(
-    grid: &Grid,
-    open: &[Vec<f64>; 3],
-    held: Option<&[bool]>,
-    faces: &mut [Vec<f64>; 3],
-) {
+fn close_walls(grid: &Grid, open: &[Vec<f64>; 3], held: Option<&[bool]>, faces: &mut [Vec<f64>; 3]) {
     for axis in Axis::ALL {
         let a = axis.index();
         for (face, value) in faces[a].iter_mut().enumerate() {
@@ -231,20 +203,14 @@ fn close_walls(
 fn direction(grid: &Grid, solid_distance: &[f64], x: DVec3) -> Option<DVec3> {
     let slope = |b: usize| {
         let half = DVec3::AXES[b] * (0.5 * grid.dx);
-        (grid.sample_cells(solid_distance, x + half) - grid.sample_cells(solid_distance, x - half))
-            / grid.dx
+        (grid.sample_cells(solid_distance, x + half) - grid.sample_cells(solid_distance, x - half)) / grid.dx
     };
     let gradient = DVec3::from([0, 1, 2].map(slope));
     let length = gradient.length();
     (length >= SMALLEST_GRADIENT).then(|| gradient / length)
 }
 
-fn slip(
-    grid: &Grid,
-    cut: &CutCells,
-    (walls, held): (Option<MovingWalls>, Option<&[bool]>),
-    faces: &mut [Vec<f64>; 3],
-) {
+fn slip(grid: &Grid, cut: &CutCells, (walls, held): (Option<MovingWalls>, Option<&[bool]>), faces: &mut [Vec<f64>; 3]) {
     let constrained = Axis::ALL.map(|axis| -> Vec<(usize, f64)> {
         let a = axis.index();
         let constrain = |face: usize| {
@@ -265,14 +231,9 @@ fn slip(
             };
             Some((face, faces[a][face] - away * n[a]))
         };
-        (0..grid.n_faces(axis))
-            .into_par_iter()
-            .filter_map(constrain)
-            .collect()
+        (0..grid.n_faces(axis)).into_par_iter().filter_map(constrain).collect()
     });
     for (values, constrained) in faces.iter_mut().zip(constrained) {
-        constrained
-            .into_iter()
-            .for_each(|(face, value)| values[face] = value);
+        constrained.into_iter().for_each(|(face, value)| values[face] = value);
     }
 }

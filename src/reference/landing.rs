@@ -31,13 +31,9 @@ const LEAST_WEIGHT: f64 = 1.0 / 256.0;
 
 /// Ends the flight of spray with liquid around it. `liquid_distance` in m. Returns the markers that land.
 pub fn land(grid: &Grid, liquid_distance: &[f64], markers: &mut Markers) -> Vec<usize> {
-    let lands = |&marker: &usize| {
-        markers.spray[marker] && !flies(grid, liquid_distance, markers.position[marker])
-    };
+    let lands = |&marker: &usize| markers.spray[marker] && !flies(grid, liquid_distance, markers.position[marker]);
     let landed: Vec<usize> = (0..markers.spray.len()).filter(lands).collect();
-    landed
-        .iter()
-        .for_each(|&marker| markers.spray[marker] = false);
+    landed.iter().for_each(|&marker| markers.spray[marker] = false);
     landed
 }
 
@@ -76,28 +72,16 @@ pub fn take_landing(
 }
 
 /// The faces of an axis around a point (m) that take its momentum, with their weights.
-pub fn landing_faces(
-    grid: &Grid,
-    open: &[f64],
-    liquid_distance: &[f64],
-    axis: Axis,
-    x: DVec3,
-) -> Vec<(usize, f64)> {
+pub fn landing_faces(grid: &Grid, open: &[f64], liquid_distance: &[f64], axis: Axis, x: DVec3) -> Vec<(usize, f64)> {
     let takes = |&(face, _): &(usize, f64)| {
-        let mut sides = grid
-            .face_sides(axis, grid.face_at(axis, face))
-            .into_iter()
-            .flatten();
+        let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
         open[face] > 0.0 && sides.any(|cell| liquid_distance[cell] < 0.0)
     };
     let around = grid.faces_around(axis, x).weights().into_iter();
     let taking: Vec<(usize, f64)> = around.filter(takes).collect();
     let sum: f64 = taking.iter().map(|(_, weight)| weight).sum();
     match sum >= LEAST_WEIGHT {
-        true => taking
-            .into_iter()
-            .map(|(face, weight)| (face, weight / sum))
-            .collect(),
+        true => taking.into_iter().map(|(face, weight)| (face, weight / sum)).collect(),
         false => Vec::new(),
     }
 }

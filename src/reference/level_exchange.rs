@@ -47,19 +47,12 @@ pub fn outflow(
         Some((cell, dt * area * speed.max(0.0) * filled(level[cell])))
     };
     let of_axis = |axis| (0..grid.n_faces(axis)).filter_map(move |face| volume(axis, face));
-    Axis::ALL
-        .map(|axis| of_axis(axis).collect::<Vec<_>>())
-        .concat()
+    Axis::ALL.map(|axis| of_axis(axis).collect::<Vec<_>>()).concat()
 }
 
 /// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What the last
 /// shift of the level left there does not count, initial liquid does.
-pub fn sunk_volumes(
-    taps: &SourcesAndSinks,
-    open_volumes: &[f64],
-    before: &[f64],
-    carried: &[f64],
-) -> Vec<CellVolume> {
+pub fn sunk_volumes(taps: &SourcesAndSinks, open_volumes: &[f64], before: &[f64], carried: &[f64]) -> Vec<CellVolume> {
     let sunk = taps.sink_cells.iter().map(|&cell| {
         let came = filled(carried[cell]) - filled(before[cell]).min(LARGEST);
         (cell, open_volumes[cell] * came.max(0.0))
@@ -95,8 +88,7 @@ pub fn fill_sources(
         };
         let starts = sources.starting >> fill.source & 1 == 1;
         if let Some(index) = fill.index.filter(|_| starts) {
-            first_fill[index] =
-                open_volumes[fill.cell] * (filled(level[fill.cell]) - filled(before));
+            first_fill[index] = open_volumes[fill.cell] * (filled(level[fill.cell]) - filled(before));
         }
     }
     first_fill
@@ -117,13 +109,7 @@ pub fn remove_volumes(label: &[u32], volumes: &[CellVolume], targets: &mut [f64]
 
 /// Adds the volumes of sources to the targets (m^3) of the components in their cells: first fillings (m^3, per source cell),
 /// and `inflows` (m^3, per source) by the number of cells that each component has in the source.
-pub fn add_sources(
-    taps: &SourcesAndSinks,
-    first_fill: &[f64],
-    inflows: &[f64],
-    label: &[u32],
-    targets: &mut [f64],
-) {
+pub fn add_sources(taps: &SourcesAndSinks, first_fill: &[f64], inflows: &[f64], label: &[u32], targets: &mut [f64]) {
     let labelled = |&&(cell, _): &&(usize, u32)| label[cell] > 0;
     let mut counts = vec![0.0; inflows.len()];
     for &(_, source) in taps.source_cells.iter().filter(labelled) {
@@ -173,7 +159,5 @@ pub fn limit_targets(volumes: &[f64], renewed: f64, targets: &mut [f64]) -> f64 
 /// Both distances in m.
 pub fn closed_to_markers(solid_distance: &[f64], liquid_distance: &[f64], dx: f64) -> Vec<f64> {
     let pairs = solid_distance.iter().zip(liquid_distance);
-    pairs
-        .map(|(&solid, &phi)| if phi < -BAND * dx { -dx } else { solid })
-        .collect()
+    pairs.map(|(&solid, &phi)| if phi < -BAND * dx { -dx } else { solid }).collect()
 }

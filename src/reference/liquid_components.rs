@@ -36,12 +36,7 @@ pub struct Components {
 }
 
 /// Labels the components. `open`: face apertures; `level` in cells; `open_volumes` in m^3.
-pub fn liquid_components(
-    grid: &Grid,
-    open: &[Vec<f64>; 3],
-    open_volumes: &[f64],
-    level: &[f64],
-) -> Components {
+pub fn liquid_components(grid: &Grid, open: &[Vec<f64>; 3], open_volumes: &[f64], level: &[f64]) -> Components {
     let mut label = vec![0; grid.n_cells()];
     let mut enclosed = Vec::new();
     for first in 0..grid.n_cells() {
@@ -59,22 +54,12 @@ pub fn liquid_components(
             volume[label as usize - 1] += open_volumes[cell] * interpolant_part(grid, level, cell);
         }
     }
-    Components {
-        label,
-        volume,
-        enclosed,
-    }
+    Components { label, volume, enclosed }
 }
 
 /// Faces of a cell with their aperture and the cell beyond, `None` on sides of the domain.
-fn faces<'a>(
-    grid: &'a Grid,
-    open: &'a [Vec<f64>; 3],
-    cell: usize,
-) -> impl Iterator<Item = (f64, Option<usize>)> + 'a {
-    let sides = Axis::ALL
-        .into_iter()
-        .flat_map(|axis| [0, 1].map(|side| (axis, side)));
+fn faces<'a>(grid: &'a Grid, open: &'a [Vec<f64>; 3], cell: usize) -> impl Iterator<Item = (f64, Option<usize>)> + 'a {
+    let sides = Axis::ALL.into_iter().flat_map(|axis| [0, 1].map(|side| (axis, side)));
     sides.map(move |(axis, side)| {
         let mut face = grid.cell_at(cell);
         face[axis.index()] += side;
@@ -88,13 +73,7 @@ fn has_open_face(grid: &Grid, open: &[Vec<f64>; 3], cell: usize) -> bool {
 }
 
 /// Labels the component of a cell with a number. Returns whether it is enclosed.
-fn flood(
-    grid: &Grid,
-    open: &[Vec<f64>; 3],
-    level: &[f64],
-    label: &mut [u32],
-    (first, number): (usize, u32),
-) -> bool {
+fn flood(grid: &Grid, open: &[Vec<f64>; 3], level: &[f64], label: &mut [u32], (first, number): (usize, u32)) -> bool {
     let mut enclosed = true;
     label[first] = number;
     let mut queue = vec![first];
@@ -133,9 +112,7 @@ fn dilated(grid: &Grid, open: &[Vec<f64>; 3], label: &[u32]) -> Vec<u32> {
 
 /// The label with the largest weight around a point (m); 0 for none.
 pub fn label_at(grid: &Grid, label: &[u32], x: DVec3) -> u32 {
-    let labelled = tent(grid, x)
-        .into_iter()
-        .filter(|&(cell, _)| label[cell] > 0);
+    let labelled = tent(grid, x).into_iter().filter(|&(cell, _)| label[cell] > 0);
     let most = labelled.reduce(|most, next| if next.1 > most.1 { next } else { most });
     most.map_or(0, |(cell, _)| label[cell])
 }
@@ -152,20 +129,13 @@ pub struct Before<'a> {
 }
 
 /// Component before a sub-step of dt (s) at the departure point of each cell with liquid; 0 for none.
-pub fn component_origins(
-    grid: &Grid,
-    before: Before,
-    has_liquid: impl Fn(usize) -> bool + Sync,
-    dt: f64,
-) -> Vec<u32> {
+pub fn component_origins(grid: &Grid, before: Before, has_liquid: impl Fn(usize) -> bool + Sync, dt: f64) -> Vec<u32> {
     let origin = |cell: usize| {
         if !has_liquid(cell) {
             return 0;
         }
         let x = grid.cell_centre(grid.cell_at(cell));
-        let x = before
-            .ballistic
-            .origin_about(grid, grid.traced(before.velocity, x, -dt));
+        let x = before.ballistic.origin_about(grid, grid.traced(before.velocity, x, -dt));
         label_at(grid, before.label, x)
     };
     (0..grid.n_cells()).into_par_iter().map(origin).collect()
@@ -173,12 +143,7 @@ pub fn component_origins(
 
 /// Target volumes of the components by the overlap of the cells, m^3. `volume_0`: those before the sub-step, m^3; `origins`:
 /// see [`component_origins`]; `volumes`: liquid volume per cell, m^3, 0 in cells without a label.
-pub fn shared_volumes(
-    volume_0: &[f64],
-    origins: &[u32],
-    components: &Components,
-    volumes: &[f64],
-) -> Vec<f64> {
+pub fn shared_volumes(volume_0: &[f64], origins: &[u32], components: &Components, volumes: &[f64]) -> Vec<f64> {
     let mut overlap = vec![0.0; volume_0.len()];
     let pairs = || {
         let pairs = origins.iter().enumerate();

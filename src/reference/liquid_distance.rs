@@ -32,27 +32,16 @@ const EXTENSION_PASSES: usize = 3;
 /// phi per cell (m) from markers (m) with spheres of `radius` (m), extended into the obstacles.
 pub fn liquid_distance(grid: &Grid, cut: &CutCells, markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let mut phi = union_of_spheres(grid, &cut.solid_distance, markers, radius);
-    let rule = Extension {
-        flat_pairs: 1.0,
-        overshoot: 0.0,
-        air: grid.dx,
-    };
+    let rule = Extension { flat_pairs: 1.0, overshoot: 0.0, air: grid.dx };
     extend(grid, cut, rule, &mut phi);
     phi
 }
 
 /// phi per cell before the extension.
-fn union_of_spheres(
-    grid: &Grid,
-    solid_distance: &[f64],
-    markers: &[[f64; 3]],
-    radius: f64,
-) -> Vec<f64> {
+fn union_of_spheres(grid: &Grid, solid_distance: &[f64], markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let bins = Bins::new(grid, markers);
-    let full = |ijk: IVec3| {
-        inside(grid, ijk)
-            .is_none_or(|cell| !bins.markers(cell).is_empty() || solid_distance[cell] < 0.0)
-    };
+    let full =
+        |ijk: IVec3| inside(grid, ijk).is_none_or(|cell| !bins.markers(cell).is_empty() || solid_distance[cell] < 0.0);
     let reach = REACH * grid.dx;
     let cells = (0..grid.n_cells()).into_par_iter();
     let phi = cells.map(|cell| {
@@ -63,9 +52,8 @@ fn union_of_spheres(
         let centre = grid.cell_centre(grid.cell_at(cell));
         // All points within two cells of the centre are in the 5 x 5 x 5 cells around it.
         let near = block(REACH.ceil() as i32).filter_map(|offset| inside(grid, ijk + offset));
-        let distances = near
-            .flat_map(|cell| bins.markers(cell))
-            .map(|&marker| centre.distance(DVec3::from(markers[marker])));
+        let distances =
+            near.flat_map(|cell| bins.markers(cell)).map(|&marker| centre.distance(DVec3::from(markers[marker])));
         distances.fold(reach, f64::min) - radius
     });
     phi.collect()
@@ -84,11 +72,7 @@ struct Extension {
 
 /// Extends a level (cells) into obstacles, with its slope: it has no bumps.
 pub fn extend_level(grid: &Grid, cut: &CutCells, level: &mut [f64]) {
-    let rule = Extension {
-        flat_pairs: 0.0,
-        overshoot: 1.0,
-        air: 1.0,
-    };
+    let rule = Extension { flat_pairs: 0.0, overshoot: 1.0, air: 1.0 };
     extend(grid, cut, rule, level);
 }
 
@@ -98,10 +82,8 @@ fn extend(grid: &Grid, cut: &CutCells, rule: Extension, phi: &mut [f64]) {
     let mut known: Vec<bool> = cut.solid_distance.iter().map(outside).collect();
     let mut unknown: Vec<usize> = (0..phi.len()).filter(|&cell| !known[cell]).collect();
     for _ in 0..EXTENSION_PASSES {
-        let values: Vec<_> = unknown
-            .par_iter()
-            .map(|&cell| from_neighbours(grid, cut, rule, phi, &known, cell))
-            .collect();
+        let values: Vec<_> =
+            unknown.par_iter().map(|&cell| from_neighbours(grid, cut, rule, phi, &known, cell)).collect();
         for (&cell, value) in unknown.iter().zip(&values) {
             if let Some(value) = *value {
                 phi[cell] = value;
@@ -129,9 +111,7 @@ fn neighbours<'a>(
     known: &'a [bool],
     cell: usize,
 ) -> impl Iterator<Item = Neighbour> + 'a {
-    let faces = Axis::ALL
-        .into_iter()
-        .flat_map(|axis| [0, 1].map(|side| (axis, side)));
+    let faces = Axis::ALL.into_iter().flat_map(|axis| [0, 1].map(|side| (axis, side)));
     faces.filter_map(move |(axis, side)| {
         let mut face = grid.cell_at(cell);
         face[axis.index()] += side;
@@ -169,10 +149,7 @@ fn from_neighbours(
         pairs => slope[a] / pairs,
     });
     let open: f64 = near.iter().map(|n| n.open).sum();
-    let sum: f64 = near
-        .iter()
-        .map(|n| n.open * (phi[n.cell] - n.way * slope[n.axis]))
-        .sum();
+    let sum: f64 = near.iter().map(|n| n.open * (phi[n.cell] - n.way * slope[n.axis])).sum();
     let values = near.iter().map(|n| phi[n.cell]);
     let low = values.clone().fold(f64::INFINITY, f64::min);
     let high = values.fold(f64::NEG_INFINITY, f64::max);
@@ -181,15 +158,13 @@ fn from_neighbours(
 
 /// Offsets of the cells up to `n` along every axis.
 fn block(n: i32) -> impl Iterator<Item = IVec3> {
-    (-n..=n)
-        .flat_map(move |z| (-n..=n).flat_map(move |y| (-n..=n).map(move |x| IVec3::new(x, y, z))))
+    (-n..=n).flat_map(move |z| (-n..=n).flat_map(move |y| (-n..=n).map(move |x| IVec3::new(x, y, z))))
 }
 
 /// Index of a cell; `None` outside the domain.
 fn inside(grid: &Grid, ijk: IVec3) -> Option<usize> {
     let n = IVec3::from(grid.cells.map(|n| n as i32));
-    (ijk.cmpge(IVec3::ZERO).all() && ijk.cmplt(n).all())
-        .then(|| grid.cell(ijk.to_array().map(|n| n as usize)))
+    (ijk.cmpge(IVec3::ZERO).all() && ijk.cmplt(n).all()).then(|| grid.cell(ijk.to_array().map(|n| n as usize)))
 }
 
 /// Markers sorted by cell, in order within each.
@@ -201,14 +176,11 @@ struct Bins {
 impl Bins {
     fn new(grid: &Grid, markers: &[[f64; 3]]) -> Bins {
         let cell_of = |marker: &[f64; 3]| {
-            let ijk: [usize; 3] =
-                std::array::from_fn(|b| ((marker[b] / grid.dx) as usize).min(grid.cells[b] - 1));
+            let ijk: [usize; 3] = std::array::from_fn(|b| ((marker[b] / grid.dx) as usize).min(grid.cells[b] - 1));
             grid.cell(ijk)
         };
         let mut start = vec![0; grid.n_cells() + 1];
-        markers
-            .iter()
-            .for_each(|marker| start[cell_of(marker) + 1] += 1);
+        markers.iter().for_each(|marker| start[cell_of(marker) + 1] += 1);
         (0..grid.n_cells()).for_each(|cell| start[cell + 1] += start[cell]);
         let mut next = start.clone();
         let mut order = vec![0; markers.len()];

@@ -84,20 +84,13 @@ pub fn marker_band(
 ) -> [usize; 2] {
     let stays = |(x, &spray): (&[f64; 3], &bool)| {
         let x = DVec3::from(*x);
-        spray
-            || grid.sample_cells(level, x) >= -BAND
-            || excess
-                .get(cell_of(grid, x))
-                .is_some_and(|&e| e > KEPT_EXCESS)
+        spray || grid.sample_cells(level, x) >= -BAND || excess.get(cell_of(grid, x)).is_some_and(|&e| e > KEPT_EXCESS)
     };
     let markers_now = markers.position.par_iter().zip(&markers.spray);
     let keep: Vec<bool> = markers_now.map(stays).collect();
     let deleted = markers.retain(&keep);
-    let enters =
-        |x: DVec3| grid.sample_cells(carried, x) < -BAND && grid.sample_cells(level, x) >= -BAND;
-    let may = |cell: usize| {
-        level[cell] >= -BAND - MARGIN_OF_CELLS && carried[cell].min(level[cell]) <= -1.0
-    };
+    let enters = |x: DVec3| grid.sample_cells(carried, x) < -BAND && grid.sample_cells(level, x) >= -BAND;
+    let may = |cell: usize| level[cell] >= -BAND - MARGIN_OF_CELLS && carried[cell].min(level[cell]) <= -1.0;
     let seeded = sites_where(grid, solid_distance, numbers, may, enters);
     markers.extend(grid, faces, &seeded);
     [deleted, seeded.len()]
@@ -130,9 +123,7 @@ fn sites_where(
         let free = |&x: &DVec3| passes(x) && grid.sample_cells(solid_distance, x) >= 0.0;
         sites.filter(free).map(|x| x.to_array()).collect::<Vec<_>>()
     };
-    let cells = (0..grid.n_cells())
-        .into_par_iter()
-        .filter(|&cell| may(cell));
+    let cells = (0..grid.n_cells()).into_par_iter().filter(|&cell| may(cell));
     let sites: Vec<Vec<[f64; 3]>> = cells.map(of_cell).collect();
     sites.concat()
 }
@@ -154,7 +145,5 @@ fn site(grid: &Grid, [seed, step]: [u32; 2], cell: usize, number: usize) -> DVec
 
 /// The cell of a point (m).
 pub(super) fn cell_of(grid: &Grid, x: DVec3) -> usize {
-    grid.cell(std::array::from_fn(|a| {
-        ((x[a] / grid.dx) as usize).min(grid.cells[a] - 1)
-    }))
+    grid.cell(std::array::from_fn(|a| ((x[a] / grid.dx) as usize).min(grid.cells[a] - 1)))
 }

@@ -73,19 +73,16 @@ pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_
 pub use diagnose_solid::diagnose_solid;
 pub use excess::{add_excess, excess};
 pub use exchange::{
-    Passed, Seeded, carry_faces, emit_markers, empty_sinks, exchanged_volume, hold_faces,
-    seed_markers, sink_markers,
+    Passed, Seeded, carry_faces, emit_markers, empty_sinks, exchanged_volume, hold_faces, seed_markers, sink_markers,
 };
-pub use extrapolate::{
-    MovingWalls, extrapolate, extrapolate_one_sided, extrapolate_with_slope, n_layers,
-};
+pub use extrapolate::{MovingWalls, extrapolate, extrapolate_one_sided, extrapolate_with_slope, n_layers};
 pub use filter_level::filter_level;
 pub use forces::forces;
 pub use landing::{face_mass, land, landing_faces, take_landing};
 pub use level_cells::{BAND, LevelCells, REACH, filled, filled_distance, interpolant_part};
 pub use level_exchange::{
-    CellVolume, add_sources, closed_to_markers, controlled_part, empty_level_sinks, fill_sources,
-    limit_targets, outflow, remove_volumes, renewed_volume, sunk_volumes,
+    CellVolume, add_sources, closed_to_markers, controlled_part, empty_level_sinks, fill_sources, limit_targets,
+    outflow, remove_volumes, renewed_volume, sunk_volumes,
 };
 pub use liquid_components::{
     Before, Components, balance, component_origins, label_at, liquid_components, shared_volumes,
@@ -109,16 +106,14 @@ pub use sample::gradient;
 pub use separation::{Candidates, Separation, opening, touching_cells};
 pub use slivers::{is_sliver, shown_to_whole};
 pub use solid_contacts::{
-    ActiveSurfaces, ContactSearch, Contacts, Freedom, MAX_SOLVES, MOST_HALVINGS, SearchStep,
-    Violations,
+    ActiveSurfaces, ContactSearch, Contacts, Freedom, MAX_SOLVES, MOST_HALVINGS, SearchStep, Violations,
 };
 pub use solid_matrices::{BlockMatrix, BlockPattern, SolidMatrices, solid_matrices};
 pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
 pub use solid_system::SolidSystem;
 pub use solve::{DIRECT_UNKNOWNS, solve, solve_direct, solve_iterative};
 pub use solve_coupled::{
-    CoupledSolution, Formulation, SIGMA, solve_coupled, solve_coupled_in_contact,
-    solve_damping_only, solve_weak,
+    CoupledSolution, Formulation, SIGMA, solve_coupled, solve_coupled_in_contact, solve_damping_only, solve_weak,
 };
 pub use solve_solid::{Chebyshev, SolidSolver};
 pub use spray::{add_spray, move_spray_volume, spray};

@@ -23,12 +23,7 @@ pub fn move_solid(
     turn_solids(solids, dt, displacement, velocity);
     let (gravity, ballistic) = falls;
     let mut fall = vec![DVec3::ZERO; displacement.len()];
-    for (body, _) in solids
-        .bodies
-        .iter()
-        .zip(ballistic)
-        .filter(|(_, falls)| **falls)
-    {
+    for (body, _) in solids.bodies.iter().zip(ballistic).filter(|(_, falls)| **falls) {
         fall[body.nodes.clone()].fill(0.5 * dt * dt * gravity);
     }
     for (node, (u, v)) in displacement.iter_mut().zip(velocity).enumerate() {
@@ -40,11 +35,7 @@ pub fn move_solid(
             let wall = x.clamp(0.0, grid.size()[axis]);
             if free[axis] && wall != x {
                 u[axis] = wall - rest[axis];
-                v[axis] = if x < wall {
-                    v[axis].max(0.0)
-                } else {
-                    v[axis].min(0.0)
-                };
+                v[axis] = if x < wall { v[axis].max(0.0) } else { v[axis].min(0.0) };
             }
         }
     }

@@ -54,10 +54,7 @@ impl Multigrid {
         for weight in SWEEPS {
             x = sweep(stencil, weight, b, &x);
         }
-        let correction = self.cycle(
-            level + 1,
-            &restrict(stencil, &self.levels[level + 1].grid, b, &x),
-        );
+        let correction = self.cycle(level + 1, &restrict(stencil, &self.levels[level + 1].grid, b, &x));
         prolong(stencil, &self.levels[level + 1].grid, &correction, &mut x);
         for &weight in SWEEPS.iter().rev() {
             x = sweep(stencil, weight, b, &x);
@@ -78,10 +75,7 @@ impl LinearOperator for Multigrid {
 
 /// The next coarser level.
 fn coarsen(fine: &Stencil) -> Stencil {
-    let grid = Grid {
-        cells: fine.grid.cells.map(|n| n.div_ceil(2)),
-        dx: 2.0 * fine.grid.dx,
-    };
+    let grid = Grid { cells: fine.grid.cells.map(|n| n.div_ceil(2)), dx: 2.0 * fine.grid.dx };
     let mut dirichlet = vec![0.0; grid.n_cells()];
     for (cell, value) in fine.dirichlet.iter().enumerate() {
         dirichlet[aggregate(&fine.grid, &grid, cell)] += 0.5 * value;
@@ -107,9 +101,7 @@ fn aggregate(fine: &Grid, coarse: &Grid, cell: usize) -> usize {
 
 /// One weighted Jacobi sweep: x + weight (b - A x) / diagonal, 0 in inactive cells.
 fn sweep(stencil: &Stencil, weight: f64, b: &[f64], x: &[f64]) -> Vec<f64> {
-    per_active_cell(stencil, |cell| {
-        x[cell] + weight * (b[cell] - stencil.product(x, cell)) / stencil.diagonal[cell]
-    })
+    per_active_cell(stencil, |cell| x[cell] + weight * (b[cell] - stencil.product(x, cell)) / stencil.diagonal[cell])
 }
 
 /// Sums the residual b - A x over the aggregates.
@@ -124,26 +116,12 @@ fn restrict(fine: &Stencil, coarse: &Grid, b: &[f64], x: &[f64]) -> Vec<f64> {
 
 /// Adds the coarse corrections to their active cells.
 fn prolong(fine: &Stencil, coarse: &Grid, correction: &[f64], x: &mut [f64]) {
-    x.par_iter_mut()
-        .with_min_len(4096)
-        .enumerate()
-        .filter(|(cell, _)| fine.active(*cell))
-        .for_each(|(cell, value)| {
-            *value += correction[aggregate(&fine.grid, coarse, cell)];
-        });
+    x.par_iter_mut().with_min_len(4096).enumerate().filter(|(cell, _)| fine.active(*cell)).for_each(|(cell, value)| {
+        *value += correction[aggregate(&fine.grid, coarse, cell)];
+    });
 }
 
 fn per_active_cell(stencil: &Stencil, value: impl Fn(usize) -> f64 + Sync) -> Vec<f64> {
-    let cells = (0..stencil.grid.n_cells())
-        .into_par_iter()
-        .with_min_len(4096);
-    cells
-        .map(|cell| {
-            if stencil.active(cell) {
-                value(cell)
-            } else {
-                0.0
-            }
-        })
-        .collect()
+    let cells = (0..stencil.grid.n_cells()).into_par_iter().with_min_len(4096);
+    cells.map(|cell| if stencil.active(cell) { value(cell) } else { 0.0 }).collect()
 }

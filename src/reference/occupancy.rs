@@ -30,13 +30,7 @@ const FULL_BELOW: f64 = BAND - 1.5;
 pub const UNKNOWN: f64 = -1.0;
 
 /// F per cell, at least 0, or [`UNKNOWN`]. `markers` in m; `level` after its transport, cells; `solid_distance` in m.
-pub fn occupancy(
-    grid: &Grid,
-    solid_distance: &[f64],
-    level: &[f64],
-    markers: &[[f64; 3]],
-    spray: &[bool],
-) -> Vec<f64> {
+pub fn occupancy(grid: &Grid, solid_distance: &[f64], level: &[f64], markers: &[[f64; 3]], spray: &[bool]) -> Vec<f64> {
     let weights = marker_weights(grid, markers, spray);
     let cells = (0..grid.n_cells()).into_par_iter();
     let fraction = cells.map(|cell| {
@@ -57,15 +51,11 @@ pub fn occupancy(
 /// Sum of the tent weights of the markers per cell, in units of 2^-20.
 pub fn marker_weights(grid: &Grid, markers: &[[f64; 3]], spray: &[bool]) -> Vec<u64> {
     let sums: Vec<AtomicU64> = (0..grid.n_cells()).map(|_| AtomicU64::new(0)).collect();
-    markers
-        .par_iter()
-        .zip(spray)
-        .filter(|(_, spray)| !**spray)
-        .for_each(|(&x, _)| {
-            for (cell, weight) in tent(grid, x.into()) {
-                sums[cell].fetch_add((ONE * weight).round() as u64, Ordering::Relaxed);
-            }
-        });
+    markers.par_iter().zip(spray).filter(|(_, spray)| !**spray).for_each(|(&x, _)| {
+        for (cell, weight) in tent(grid, x.into()) {
+            sums[cell].fetch_add((ONE * weight).round() as u64, Ordering::Relaxed);
+        }
+    });
     sums.into_iter().map(AtomicU64::into_inner).collect()
 }
 

@@ -62,12 +62,7 @@ impl Reference {
     ///
     /// # Errors
     /// [`Error::Input`] for a scene with neither liquid nor solids, and for a state of another scene.
-    pub fn new(
-        scene: &Scene,
-        obstacles: ObstacleCut,
-        solids: Solids,
-        state: State,
-    ) -> Result<Reference, Error> {
+    pub fn new(scene: &Scene, obstacles: ObstacleCut, solids: Solids, state: State) -> Result<Reference, Error> {
         let grid = scene.grid();
         let effects = Effects::of(scene);
         if !effects.liquid && !effects.solids {
@@ -90,14 +85,7 @@ impl Reference {
             solids,
         });
         let mut reference = Reference {
-            model: Model {
-                scene: scene.clone(),
-                grid,
-                effects,
-                taps,
-                solid,
-                limits,
-            },
+            model: Model { scene: scene.clone(), grid, effects, taps, solid, limits },
             boundary,
             obstacles: field,
             state: State::default(),
@@ -120,21 +108,14 @@ impl Reference {
             Err(Error::input(file, problem, cure))
         };
         if model.effects.liquid && !fits_grid(grid, boundary.cut_cells(), &state) {
-            return refused(format!(
-                "the state does not have the scene's {:?} cells",
-                grid.cells
-            ));
+            return refused(format!("the state does not have the scene's {:?} cells", grid.cells));
         }
         if model.effects.level && state.step > 0 && !state.fits_level(grid) {
-            return refused(
-                "the state does not have the level's markers and components".to_owned(),
-            );
+            return refused("the state does not have the level's markers and components".to_owned());
         }
         let n_nodes = model.solids().map_or(0, |solids| solids.rest.len());
         if [state.displacement.len(), state.node_velocity.len()] != [n_nodes; 2] {
-            return refused(format!(
-                "the state does not have the {n_nodes} nodes of the scene's solids"
-            ));
+            return refused(format!("the state does not have the {n_nodes} nodes of the scene's solids"));
         }
         boundary.update(model.solids(), &state.displacement, state.time, 0.0);
         if state.step == 0 {
@@ -148,12 +129,7 @@ impl Reference {
 
     /// Copies gravity and the keyframes of obstacles and scripts from a scene that is the same otherwise.
     pub fn follow(&mut self, scene: &Scene) {
-        let Reference {
-            model,
-            boundary,
-            obstacles,
-            ..
-        } = self;
+        let Reference { model, boundary, obstacles, .. } = self;
         boundary.follow(scene);
         if let Some(field) = obstacles {
             field.follow(scene);
@@ -220,9 +196,7 @@ impl Reference {
             _ => 0.0,
         };
         let speed = larger(speed, scripts);
-        model
-            .limits
-            .time_step(speed, [state.time, left], state.dt_last)
+        model.limits.time_step(speed, [state.time, left], state.dt_last)
     }
 
     /// Runs one sub-step. After an error the state is the one before.
@@ -236,13 +210,7 @@ impl Reference {
         time_step: TimeStep,
         observer: &mut dyn FnMut(StepSystem),
     ) -> Result<StepReport, Error> {
-        let Reference {
-            model,
-            boundary,
-            obstacles,
-            state,
-            node_forces,
-        } = self;
+        let Reference { model, boundary, obstacles, state, node_forces } = self;
         let times = [state.time, state.time + time_step.dt];
         let domain = &mut model.scene.domain;
         domain.gravity = domain.mean_gravity(times);
@@ -266,13 +234,7 @@ impl Reference {
 /// Whether a state and cut cells have the cells and faces of a grid.
 fn fits_grid(grid: &Grid, cut: &CutCells, state: &State) -> bool {
     let [pressure, distance] = [&state.pressure, &state.liquid_distance].map(Vec::len);
-    let cells = [
-        pressure,
-        distance,
-        state.active.len(),
-        state.ballistic.len(),
-        cut.solid_distance.len(),
-    ];
+    let cells = [pressure, distance, state.active.len(), state.ballistic.len(), cut.solid_distance.len()];
     let faces = |axis: Axis| {
         let lists = [&state.velocity, &cut.open].map(|faces| faces[axis.index()].len());
         lists == [grid.n_faces(axis); 2]

@@ -56,38 +56,17 @@ pub fn prepare(
     let valid = Axis::ALL.map(|axis| {
         let beside_liquid = |face| {
             let sides = grid.face_sides(axis, grid.face_at(axis, face));
-            sides
-                .into_iter()
-                .flatten()
-                .any(|cell| state.liquid_distance[cell] < 0.0)
+            sides.into_iter().flatten().any(|cell| state.liquid_distance[cell] < 0.0)
         };
         let open = cut.open[axis.index()].iter().enumerate();
-        open.map(|(face, &open)| open > 0.0 && beside_liquid(face))
-            .collect()
+        open.map(|(face, &open)| open > 0.0 && beside_liquid(face)).collect()
     });
-    let walls = solids.map(|(clip, triangles)| MovingWalls {
-        clip,
-        triangles,
-        velocity: &state.node_velocity,
-    });
-    extrapolate(
-        grid,
-        cut,
-        walls,
-        valid,
-        n_layers(scene.time.cfl),
-        &mut state.velocity,
-    );
+    let walls = solids.map(|(clip, triangles)| MovingWalls { clip, triangles, velocity: &state.node_velocity });
+    extrapolate(grid, cut, walls, valid, n_layers(scene.time.cfl), &mut state.velocity);
     if let Some(surface) = surface {
         let seed = (liquid.seed ^ (liquid.seed >> 32)) as u32;
         let level = in_cells(grid, &state.liquid_distance);
-        let positions = first_markers(
-            grid,
-            &cut.solid_distance,
-            &level,
-            |x| surface.distance(x) < 0.0,
-            seed,
-        );
+        let positions = first_markers(grid, &cut.solid_distance, &level, |x| surface.distance(x) < 0.0, seed);
         let mut markers = Markers::default();
         markers.extend(grid, &state.velocity, &positions);
         state.put_markers(markers);
@@ -98,17 +77,9 @@ pub fn prepare(
 /// Makes a level of the exact distance, and labels its components. Their target volumes are those of the liquid between its
 /// surface and the bodies; where the interpolant of the distance has less, as that of a ball, the level moves. Returns their sum,
 /// m^3.
-fn prepare_level(
-    grid: &Grid,
-    cut: &CutCells,
-    open_volumes: &[f64],
-    surface: &LiquidSurface,
-    state: &mut State,
-) -> f64 {
+fn prepare_level(grid: &Grid, cut: &CutCells, open_volumes: &[f64], surface: &LiquidSurface, state: &mut State) -> f64 {
     let distance = state.liquid_distance.iter();
-    let mut level: Vec<f64> = distance
-        .map(|phi| (phi / grid.dx).clamp(-REACH, REACH))
-        .collect();
+    let mut level: Vec<f64> = distance.map(|phi| (phi / grid.dx).clamp(-REACH, REACH)).collect();
     extend_level(grid, cut, &mut level);
     let mut level = redistance(LevelCells { grid, cut }, &level);
     extend_level(grid, cut, &mut level);
@@ -144,9 +115,7 @@ fn prepare_level(
 fn component_sums(components: &Components, values: &[f64]) -> Vec<f64> {
     let mut sums = vec![0.0; components.volume.len()];
     let pairs = components.label.iter().zip(values);
-    pairs
-        .filter(|(label, _)| **label > 0)
-        .for_each(|(&label, value)| sums[label as usize - 1] += value);
+    pairs.filter(|(label, _)| **label > 0).for_each(|(&label, value)| sums[label as usize - 1] += value);
     sums
 }
 

@@ -29,33 +29,15 @@ pub struct Stencil {
 impl Stencil {
     /// Assembles a stencil from its weights.
     pub fn new(grid: Grid, weight: [Vec<f64>; 3], dirichlet: Vec<f64>) -> Stencil {
-        assert_eq!(
-            dirichlet.len(),
-            grid.n_cells(),
-            "there is one Dirichlet entry per cell"
-        );
+        assert_eq!(dirichlet.len(), grid.n_cells(), "there is one Dirichlet entry per cell");
         for axis in Axis::ALL {
-            assert_eq!(
-                weight[axis.index()].len(),
-                grid.n_faces(axis),
-                "there is one weight per face"
-            );
+            assert_eq!(weight[axis.index()].len(), grid.n_faces(axis), "there is one weight per face");
         }
-        let mut stencil = Stencil {
-            grid,
-            weight,
-            dirichlet,
-            diagonal: Vec::new(),
-        };
+        let mut stencil = Stencil { grid, weight, dirichlet, diagonal: Vec::new() };
         stencil.diagonal = (0..grid.n_cells())
             .into_par_iter()
             .map(|cell| {
-                stencil.dirichlet[cell]
-                    + stencil
-                        .neighbours(cell)
-                        .iter()
-                        .map(|(_, weight)| weight)
-                        .sum::<f64>()
+                stencil.dirichlet[cell] + stencil.neighbours(cell).iter().map(|(_, weight)| weight).sum::<f64>()
             })
             .collect();
         stencil
@@ -70,11 +52,7 @@ impl Stencil {
         let [x, y, z] = &self.weight;
         let (fx, fy) = (i + (nx + 1) * (j + ny * k), i + nx * (j + (ny + 1) * k));
         let at = |inside: bool, neighbour: usize, weight: f64| {
-            if inside {
-                (neighbour, weight)
-            } else {
-                (cell, 0.0)
-            }
+            if inside { (neighbour, weight) } else { (cell, 0.0) }
         };
         [
             at(k > 0, cell.wrapping_sub(nx * ny), z[cell]),
@@ -94,28 +72,20 @@ impl Stencil {
 
     /// The active cells in order: the numbering of [`PressureSystem::to_csr`].
     pub fn active_cells(&self) -> Vec<usize> {
-        (0..self.grid.n_cells())
-            .filter(|&cell| self.active(cell))
-            .collect()
+        (0..self.grid.n_cells()).filter(|&cell| self.active(cell)).collect()
     }
 
     /// Whether each cell is active.
     pub fn active_mask(&self) -> Vec<bool> {
-        self.diagonal
-            .iter()
-            .map(|&diagonal| diagonal > 0.0)
-            .collect()
+        self.diagonal.iter().map(|&diagonal| diagonal > 0.0).collect()
     }
 
     /// (A x) of one cell, from differences: these are small compared with the pressures.
     #[inline]
     pub(super) fn product(&self, x: &[f64], cell: usize) -> f64 {
         let centre = x[cell];
-        let fluxes = self
-            .neighbours(cell)
-            .iter()
-            .map(|&(neighbour, weight)| weight * (centre - x[neighbour]))
-            .sum::<f64>();
+        let fluxes =
+            self.neighbours(cell).iter().map(|&(neighbour, weight)| weight * (centre - x[neighbour])).sum::<f64>();
         fluxes + self.dirichlet[cell] * centre
     }
 }
@@ -154,13 +124,7 @@ impl LinearOperator for Stencil {
         y.par_iter_mut()
             .with_min_len(4096)
             .enumerate()
-            .for_each(|(cell, out)| {
-                *out = if self.active(cell) {
-                    self.product(x, cell)
-                } else {
-                    0.0
-                }
-            });
+            .for_each(|(cell, out)| *out = if self.active(cell) { self.product(x, cell) } else { 0.0 });
     }
 }
 
@@ -245,23 +209,15 @@ impl PressureSystem {
 
     /// Removes from `closed` the components that touch a wall or body and whose room grows by more than the share `least` of the
     /// prescribed flux, and returns their cells. Their right-hand side is E u* again, without a mean removed.
-    pub fn take_growing(
-        &mut self,
-        touching: &[bool],
-        by_solids: Option<&[f64]>,
-        least: f64,
-    ) -> Vec<Vec<usize>> {
+    pub fn take_growing(&mut self, touching: &[bool], by_solids: Option<&[f64]>, least: f64) -> Vec<Vec<usize>> {
         if self.closed.is_empty() {
             return Vec::new();
         }
         let [flux, taken] = [by_solids, None].map(|solids| self.prescribed_flux(solids));
-        let (growing, closed) =
-            std::mem::take(&mut self.closed)
-                .into_iter()
-                .partition(|component: &Vec<usize>| {
-                    let [net, gross] = sums(component, &flux);
-                    net > least * gross && component.iter().any(|&cell| touching[cell])
-                });
+        let (growing, closed) = std::mem::take(&mut self.closed).into_iter().partition(|component: &Vec<usize>| {
+            let [net, gross] = sums(component, &flux);
+            net > least * gross && component.iter().any(|&cell| touching[cell])
+        });
         self.closed = closed;
         for component in &growing {
             let mean = sums(component, &taken)[0] / component.len() as f64;
@@ -285,11 +241,7 @@ impl PressureSystem {
 
     /// Number of active cells.
     pub fn n_unknowns(&self) -> usize {
-        self.stencil
-            .diagonal
-            .iter()
-            .filter(|&&diagonal| diagonal > 0.0)
-            .count()
+        self.stencil.diagonal.iter().filter(|&&diagonal| diagonal > 0.0).count()
     }
 
     /// rhs - B p, m^3/s, per cell.
@@ -316,11 +268,8 @@ impl PressureSystem {
         }
         Csr::from_rows(cells.len(), cells.len(), |row, entries| {
             let cell = cells[row];
-            let diagonal =
-                self.stencil.diagonal[cell] * if pinned.contains(&cell) { 2.0 } else { 1.0 };
-            for (index, (neighbour, weight)) in
-                self.stencil.neighbours(cell).into_iter().enumerate()
-            {
+            let diagonal = self.stencil.diagonal[cell] * if pinned.contains(&cell) { 2.0 } else { 1.0 };
+            for (index, (neighbour, weight)) in self.stencil.neighbours(cell).into_iter().enumerate() {
                 if index == 3 {
                     entries.push((row, scale * diagonal));
                 }
@@ -340,9 +289,7 @@ impl PressureSystem {
 /// Sum of a field over some cells, and of its absolute values.
 fn sums(cells: &[usize], field: &[f64]) -> [f64; 2] {
     let values = cells.iter().map(|&cell| field[cell]);
-    values.fold([0.0, 0.0], |[net, gross], value: f64| {
-        [net + value, gross + value.abs()]
-    })
+    values.fold([0.0, 0.0], |[net, gross], value: f64| [net + value, gross + value.abs()])
 }
 
 /// Subtracts the mean over each list of cells from a field.

@@ -24,9 +24,7 @@ pub fn probe(grid: &Grid, open: &[Vec<f64>; 3], state: &State, kind: &ProbeKind)
     match *kind {
         ProbeKind::Height { foot, up } => vec![height(grid, &state.liquid_distance, foot, up)],
         ProbeKind::Pressure { point } => vec![pressure(grid, state, point)],
-        ProbeKind::Velocity { point } => {
-            grid.velocity_at(&state.velocity, point).to_array().to_vec()
-        }
+        ProbeKind::Velocity { point } => grid.velocity_at(&state.velocity, point).to_array().to_vec(),
         ProbeKind::Front { axis, lower } => vec![front(grid, state, Axis::ALL[axis], lower)],
         ProbeKind::Flux { axis, min, max } => {
             vec![flux(grid, open, state, Axis::ALL[axis], [min, max])]
@@ -78,18 +76,9 @@ fn front(grid: &Grid, state: &State, axis: Axis, lower: bool) -> f64 {
             return centre + 0.5 * sign;
         };
         ijk[a] = next;
-        let phi = [
-            state.liquid_distance[cell],
-            state.liquid_distance[grid.cell(ijk)],
-        ];
+        let phi = [state.liquid_distance[cell], state.liquid_distance[grid.cell(ijk)]];
         // If the liquid continues, the next cell reaches further, or an obstacle ends it at the face.
-        centre
-            + sign
-                * if phi[1] >= 0.0 {
-                    theta(phi[0], phi[1], 0.0)
-                } else {
-                    0.5
-                }
+        centre + sign * if phi[1] >= 0.0 { theta(phi[0], phi[1], 0.0) } else { 0.5 }
     };
     let reaches = (0..grid.n_cells()).filter(|&cell| state.active[cell]);
     let reaches = reaches.map(reach);
@@ -121,8 +110,7 @@ fn flux(grid: &Grid, open: &[Vec<f64>; 3], state: &State, axis: Axis, corners: [
                 (ijk[b], ijk[c]) = (j, k);
                 let sides = grid.face_sides(axis, ijk);
                 let distances = sides.into_iter().flatten();
-                let distances: Vec<f64> =
-                    distances.map(|cell| state.liquid_distance[cell]).collect();
+                let distances: Vec<f64> = distances.map(|cell| state.liquid_distance[cell]).collect();
                 let phi = distances.iter().sum::<f64>() / distances.len() as f64;
                 let wet = (0.5 - phi / grid.dx).clamp(0.0, 1.0);
                 let face = grid.face(axis, ijk);

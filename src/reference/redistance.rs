@@ -133,10 +133,8 @@ fn relaxed(cells: LevelCells, f: &[f64], cell: usize) -> f64 {
             false => phi - STEP * sign * (gradient - 1.0),
         };
     }
-    let mut across = Axis::ALL
-        .into_iter()
-        .flat_map(|axis| cells.beside(cell, axis))
-        .filter(|&other| (f[other] < 0.0) != inside);
+    let mut across =
+        Axis::ALL.into_iter().flat_map(|axis| cells.beside(cell, axis)).filter(|&other| (f[other] < 0.0) != inside);
     let m = steepness(cells, f, cell);
     let keep = (GRADIENTS[0] < m && m < GRADIENTS[1])
         || at_kink(cells, f, cell)

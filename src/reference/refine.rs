@@ -37,12 +37,7 @@ pub(crate) trait LinearSystem {
 
     /// The parts that must each pass, with their unknowns and the scale of their rounding error.
     fn parts(&self, _x: &[f64]) -> Vec<Part> {
-        vec![Part {
-            range: 0..self.rhs().len(),
-            unknowns: self.n_unknowns(),
-            scale: self.rhs_scale(),
-            acts: 0.0,
-        }]
+        vec![Part { range: 0..self.rhs().len(), unknowns: self.n_unknowns(), scale: self.rhs_scale(), acts: 0.0 }]
     }
 }
 
@@ -79,14 +74,9 @@ impl Verdict {
     fn new(parts: &[Part], rhs_norms: &[f64], tolerance: f64, residual: &[f64]) -> Verdict {
         let targets = parts.iter().zip(rhs_norms);
         Verdict {
-            norms: parts
-                .iter()
-                .map(|part| norm(&residual[part.range.clone()]))
-                .collect(),
+            norms: parts.iter().map(|part| norm(&residual[part.range.clone()])).collect(),
             targets: targets
-                .map(|(part, &rhs_norm)| {
-                    (tolerance * part.acting(rhs_norm)).max(EPSILON * part.scale)
-                })
+                .map(|(part, &rhs_norm)| (tolerance * part.acting(rhs_norm)).max(EPSILON * part.scale))
                 .collect(),
         }
     }
@@ -124,11 +114,7 @@ pub(super) fn refine(
 }
 
 /// The reduction still required from x, at most 1; `None` if its true residual passes.
-pub(crate) fn part_left(
-    system: &impl LinearSystem,
-    tolerance: f64,
-    mut x: Vec<f64>,
-) -> Option<f64> {
+pub(crate) fn part_left(system: &impl LinearSystem, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
     system.project(&mut x);
     let parts = system.parts(&x);
     let norm_of = |part: &Part| norm(&system.rhs()[part.range.clone()]);
@@ -152,10 +138,7 @@ pub(crate) fn refine_parts(
     let mut verdict = Verdict::new(&parts, &rhs_norms, settings.tolerance, &residual);
     if !rhs_norms.iter().all(|norm| norm.is_finite()) {
         verdict.norms.fill(f64::NAN);
-        return (
-            x,
-            reports(&parts, &rhs_norms, &verdict, 0, SolveStatus::NonFinite),
-        );
+        return (x, reports(&parts, &rhs_norms, &verdict, 0, SolveStatus::NonFinite));
     }
     while !verdict.passes() {
         let tolerance = verdict.left().max(ROUND_TOLERANCE);

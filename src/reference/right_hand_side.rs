@@ -39,10 +39,8 @@ pub fn volume_rate(volume_0: f64, volume: f64, control_time: f64, dt: f64) -> f6
     if volume <= 0.0 || volume_0 <= 0.0 {
         return 0.0;
     }
-    ((volume_0 / volume - 1.0) / (CONTROL_TIMES * control_time).max(STEPS * dt)).clamp(
-        -LARGEST_CHANGE / control_time,
-        LARGEST_CHANGE / control_time,
-    )
+    ((volume_0 / volume - 1.0) / (CONTROL_TIMES * control_time).max(STEPS * dt))
+        .clamp(-LARGEST_CHANGE / control_time, LARGEST_CHANGE / control_time)
 }
 
 /// Computes the right-hand side from u* (m/s, per face) and the apertures of all faces.
@@ -55,9 +53,7 @@ pub fn right_hand_side(
 ) -> RightHandSide {
     let mut in_closed = vec![false; grid.n_cells()];
     let without_surface = active.closed.iter().chain(&active.sealed);
-    without_surface
-        .flatten()
-        .for_each(|&cell| in_closed[cell] = true);
+    without_surface.flatten().for_each(|&cell| in_closed[cell] = true);
     let mut values = vec![0.0; grid.n_cells()];
     let mut magnitudes = vec![0.0; grid.n_cells()];
     for cell in active.stencil.active_cells() {
@@ -69,19 +65,11 @@ pub fn right_hand_side(
         }
     }
     remove_means(&active.closed, &mut values);
-    RightHandSide {
-        values,
-        scale: norm(&magnitudes),
-    }
+    RightHandSide { values, scale: norm(&magnitudes) }
 }
 
 /// (E u)_c, and the sum of its absolute terms, m^3/s.
-pub(super) fn inflow(
-    grid: &Grid,
-    open: &[Vec<f64>; 3],
-    velocity: &[Vec<f64>; 3],
-    cell: usize,
-) -> (f64, f64) {
+pub(super) fn inflow(grid: &Grid, open: &[Vec<f64>; 3], velocity: &[Vec<f64>; 3], cell: usize) -> (f64, f64) {
     let area = grid.dx * grid.dx;
     let ijk = grid.cell_at(cell);
     let mut inflow = 0.0;

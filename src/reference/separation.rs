@@ -81,9 +81,7 @@ impl Separation {
         for &cell in growing.iter().flatten() {
             candidates[cell] = with.touching[cell];
         }
-        let mut cells: Vec<bool> = (0..may.len())
-            .map(|cell| candidates[cell] && separated(cell))
-            .collect();
+        let mut cells: Vec<bool> = (0..may.len()).map(|cell| candidates[cell] && separated(cell)).collect();
         for component in growing {
             if component.iter().any(|&cell| cells[cell]) {
                 continue;
@@ -92,13 +90,7 @@ impl Separation {
             let least = own.min_by(|&a, &b| with.pressure[a].total_cmp(&with.pressure[b]));
             least.into_iter().for_each(|cell| cells[cell] = true);
         }
-        Separation {
-            candidates,
-            cells,
-            settled: true,
-            rate: 0.0,
-            report: SeparationReport::default(),
-        }
+        Separation { candidates, cells, settled: true, rate: 0.0, report: SeparationReport::default() }
     }
 
     /// Gamma.
@@ -115,21 +107,13 @@ impl Separation {
     ///
     /// # Errors
     /// As [`solve`].
-    pub fn solve(
-        &mut self,
-        system: &PressureSystem,
-        settings: &Solver,
-    ) -> Result<(Vec<f64>, SolveReport), Error> {
+    pub fn solve(&mut self, system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, SolveReport), Error> {
         let mut iterations = 0;
         let last = self.search(system, settings.tolerance, |masked| {
             let (pressure, mut solution) = solve(masked, settings)?;
             iterations += solution.iterations;
             solution.iterations = iterations;
-            Ok(Round {
-                solution,
-                pressure,
-                flux: Vec::new(),
-            })
+            Ok(Round { solution, pressure, flux: Vec::new() })
         })?;
         Ok((last.pressure, last.solution))
     }
@@ -154,9 +138,7 @@ impl Separation {
                     .filter(|&cell| self.candidates[cell] && !self.cells[cell] && !locked[cell])
                     .filter(|&cell| solved.pressure[cell] < least_pressure)
                     .collect(),
-                all.clone()
-                    .filter(|&cell| self.cells[cell] && opening[cell] < least_opening)
-                    .collect(),
+                all.clone().filter(|&cell| self.cells[cell] && opening[cell] < least_opening).collect(),
             ];
             self.report.rounds += 1;
             self.settled = added.is_empty() && returned.is_empty();
@@ -203,10 +185,7 @@ impl Separation {
 pub fn opening(system: &PressureSystem, pressure: &[f64], flux: &[f64]) -> Vec<f64> {
     let mut opening = system.residual(pressure);
     opening.iter_mut().for_each(|w| *w = -*w);
-    opening
-        .iter_mut()
-        .zip(flux)
-        .for_each(|(w, flux)| *w += flux);
+    opening.iter_mut().zip(flux).for_each(|(w, flux)| *w += flux);
     opening
 }
 
@@ -230,21 +209,14 @@ pub fn touching_cells(grid: &Grid, open: &[Vec<f64>; 3], clip: Option<&SolidClip
 }
 
 /// Whether a cell has air, or a cell that separated before, among the 26 neighbours that it reaches through open faces.
-fn beside_air(
-    stencil: &Stencil,
-    open: &[Vec<f64>; 3],
-    separated: impl Fn(usize) -> bool,
-    cell: usize,
-) -> bool {
+fn beside_air(stencil: &Stencil, open: &[Vec<f64>; 3], separated: impl Fn(usize) -> bool, cell: usize) -> bool {
     let grid = &stencil.grid;
     let here = grid.cell_at(cell);
-    let ranges: [_; 3] =
-        std::array::from_fn(|b| here[b].saturating_sub(1)..=(here[b] + 1).min(grid.cells[b] - 1));
+    let ranges: [_; 3] = std::array::from_fn(|b| here[b].saturating_sub(1)..=(here[b] + 1).min(grid.cells[b] - 1));
     let [is, js, ks] = ranges;
     let around = ks.flat_map(|k| {
         let is = &is;
-        js.clone()
-            .flat_map(move |j| is.clone().map(move |i| [i, j, k]))
+        js.clone().flat_map(move |j| is.clone().map(move |i| [i, j, k]))
     });
     let has_air = |at: [usize; 3]| {
         let cell = grid.cell(at);

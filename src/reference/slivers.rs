@@ -42,24 +42,16 @@ pub fn shown_to_whole(grid: &Grid, open: &[Vec<f64>; 3], faces: &[Vec<f64>; 3]) 
         let (open, faces) = (&open[axis.index()], &faces[axis.index()]);
         let weight = |face: usize| (open[face] - SLIVER).max(0.0);
         let trust = |sum: f64| (sum / SLIVER).min(1.0);
-        let shown = (0..faces.len())
-            .into_par_iter()
-            .map(|face| match is_sliver(open[face]) {
-                true => blended(grid, axis, open, faces, face, weight, trust),
-                false => faces[face],
-            });
+        let shown = (0..faces.len()).into_par_iter().map(|face| match is_sliver(open[face]) {
+            true => blended(grid, axis, open, faces, face, weight, trust),
+            false => faces[face],
+        });
         shown.collect()
     })
 }
 
 /// The small-aperture faces among the `valid` faces of an axis, and their blended velocities for extrapolation, m/s.
-pub(super) fn shown_to_air(
-    grid: &Grid,
-    axis: Axis,
-    open: &[f64],
-    valid: &[bool],
-    faces: &[f64],
-) -> Vec<(usize, f64)> {
+pub(super) fn shown_to_air(grid: &Grid, axis: Axis, open: &[f64], valid: &[bool], faces: &[f64]) -> Vec<(usize, f64)> {
     let slivers = (0..faces.len()).into_par_iter();
     let slivers = slivers.filter(|&face| valid[face] && is_sliver(open[face]));
     let weight = |face: usize| if valid[face] { open[face] } else { 0.0 };

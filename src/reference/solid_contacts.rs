@@ -58,36 +58,25 @@ impl Freedom {
     pub fn of(prescribed: [bool; 3]) -> Freedom {
         let free = prescribed.map(|prescribed| !prescribed);
         let ones = free.map(|free| if free { 1.0 } else { 0.0 });
-        Freedom {
-            free,
-            projector: DMat3::from_diagonal(DVec3::from(ones)),
-        }
+        Freedom { free, projector: DMat3::from_diagonal(DVec3::from(ones)) }
     }
 
     /// Projector of a node whose walls leave `components`, minus an obstacle's direction: a unit vector in these
     /// components, or 0.
     pub fn left(prescribed: [bool; 3], components: [bool; 3], normal: DVec3) -> Freedom {
         let ones = components.map(|free| if free { 1.0 } else { 0.0 });
-        Freedom {
-            projector: DMat3::from_diagonal(DVec3::from(ones)) - square(normal),
-            ..Freedom::of(prescribed)
-        }
+        Freedom { projector: DMat3::from_diagonal(DVec3::from(ones)) - square(normal), ..Freedom::of(prescribed) }
     }
 
     /// Projector of a node whose velocity is fixed.
     pub fn none(prescribed: [bool; 3]) -> Freedom {
-        Freedom {
-            projector: DMat3::ZERO,
-            ..Freedom::of(prescribed)
-        }
+        Freedom { projector: DMat3::ZERO, ..Freedom::of(prescribed) }
     }
 
     /// Projectors of all nodes, without contact.
     pub fn all(solids: &Solids) -> Vec<Freedom> {
         let prescribed = solids.prescribed.iter();
-        prescribed
-            .map(|&prescribed| Freedom::of(prescribed))
-            .collect()
+        prescribed.map(|&prescribed| Freedom::of(prescribed)).collect()
     }
 
     /// Number of free directions: 0 to 3.
@@ -143,12 +132,7 @@ struct Surface {
 
 impl Surface {
     fn at_rest(normal: DVec3, gap: f64) -> Surface {
-        Surface {
-            normal,
-            gap,
-            rate: 0.0,
-            active: false,
-        }
+        Surface { normal, gap, rate: 0.0, active: false }
     }
 }
 
@@ -213,21 +197,14 @@ impl Contacts {
             let x = solids.rest[node] + DVec3::from(displacement[node]);
             let wall = |axis: usize| {
                 let above = grid.size()[axis] - x[axis];
-                let (sign, gap) = if x[axis] <= above {
-                    (1.0, x[axis])
-                } else {
-                    (-1.0, above)
-                };
+                let (sign, gap) = if x[axis] <= above { (1.0, x[axis]) } else { (-1.0, above) };
                 let free = !solids.prescribed[node][axis];
                 free.then(|| Surface::at_rest(sign * DVec3::AXES[axis], gap))
             };
             let obstacle = normal(grid, distance, x).map(|normal| {
                 let velocity = obstacles.velocity(x).unwrap_or_default();
                 let rate = velocity.dot(normal);
-                Surface {
-                    rate,
-                    ..Surface::at_rest(normal, grid.sample_cells(distance, x) - dt * rate)
-                }
+                Surface { rate, ..Surface::at_rest(normal, grid.sample_cells(distance, x) - dt * rate) }
             });
             let mut surfaces = [wall(0), wall(1), wall(2), obstacle];
             let mut freedom = Freedom::of(solids.prescribed[node]);
@@ -242,12 +219,7 @@ impl Contacts {
             }
             surfaces
         });
-        Contacts {
-            surfaces: surfaces.collect(),
-            prescribed: solids.prescribed.clone(),
-            dt,
-            near: NEAR * grid.dx,
-        }
+        Contacts { surfaces: surfaces.collect(), prescribed: solids.prescribed.clone(), dt, near: NEAR * grid.dx }
     }
 
     /// The rows of all surfaces that nodes may reach within a distance, m.
@@ -257,10 +229,7 @@ impl Contacts {
             let near = |surface: &&Surface| surface.gap <= reach;
             surfaces.iter().flatten().filter(near).map(move |surface| {
                 let normal = surface.normal.to_array().into_iter().enumerate();
-                Row {
-                    entries: normal.map(|(axis, n)| (3 * node + axis, n)).collect(),
-                    least: -surface.gap / self.dt,
-                }
+                Row { entries: normal.map(|(axis, n)| (3 * node + axis, n)).collect(), least: -surface.gap / self.dt }
             })
         });
         rows.collect()
@@ -277,11 +246,8 @@ impl Contacts {
     /// A feasible initial velocity, m/s: zero except for prescribed components and penetrating nodes.
     pub fn at_rest(&self, velocity: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let nodes = self.prescribed.iter().zip(velocity);
-        let mut rest: Vec<[f64; 3]> = nodes
-            .map(|(prescribed, v)| {
-                [0, 1, 2].map(|axis| if prescribed[axis] { v[axis] } else { 0.0 })
-            })
-            .collect();
+        let mut rest: Vec<[f64; 3]> =
+            nodes.map(|(prescribed, v)| [0, 1, 2].map(|axis| if prescribed[axis] { v[axis] } else { 0.0 })).collect();
         self.put_back(&mut rest);
         rest
     }
@@ -290,9 +256,8 @@ impl Contacts {
     pub fn approach(&self, from: &[[f64; 3]], to: &[[f64; 3]], share: f64) -> Vec<[f64; 3]> {
         let between = |from: f64, to: f64| from + share * (to - from);
         let pairs = from.iter().zip(to);
-        let mut next: Vec<[f64; 3]> = pairs
-            .map(|(from, to)| std::array::from_fn(|axis| between(from[axis], to[axis])))
-            .collect();
+        let mut next: Vec<[f64; 3]> =
+            pairs.map(|(from, to)| std::array::from_fn(|axis| between(from[axis], to[axis]))).collect();
         self.put_back(&mut next);
         next
     }
@@ -381,13 +346,9 @@ impl Contacts {
     /// Constrains surfaces touched at v and, if w (m/s) is given, penetrated at w.
     fn hold_touching(&mut self, best: &[[f64; 3]], minimiser: Option<&[[f64; 3]]>) {
         for node in 0..best.len() {
-            let touches = self
-                .gaps(node, best[node].into())
-                .map(|gap| gap < self.near);
+            let touches = self.gaps(node, best[node].into()).map(|gap| gap < self.near);
             let penetrates = match minimiser {
-                Some(minimiser) => self
-                    .gaps(node, minimiser[node].into())
-                    .map(|gap| gap < -self.near),
+                Some(minimiser) => self.gaps(node, minimiser[node].into()).map(|gap| gap < -self.near),
                 None => [true; 4],
             };
             for which in 0..=OBSTACLE {
@@ -424,8 +385,7 @@ impl Contacts {
             let gaps = self.gaps(node, DVec3::from(velocity[node]));
             let free = self.shares(node, self.active(node), DVec3::ZERO);
             let gaps = gaps.into_iter().zip(free);
-            gaps.filter(|(_, free)| free.is_some())
-                .fold(worst, |worst, (gap, _)| f64::max(worst, -gap))
+            gaps.filter(|(_, free)| free.is_some()).fold(worst, |worst, (gap, _)| f64::max(worst, -gap))
         })
     }
 
@@ -435,11 +395,7 @@ impl Contacts {
         pushes.fold(0.0, |worst, (node, push)| {
             let active = self.active(node);
             let shares = self.shares(node, active, push).into_iter().zip(active);
-            shares
-                .filter(|(_, active)| *active)
-                .fold(worst, |worst, (share, _)| {
-                    f64::max(worst, -share.unwrap_or(0.0))
-                })
+            shares.filter(|(_, active)| *active).fold(worst, |worst, (share, _)| f64::max(worst, -share.unwrap_or(0.0)))
         })
     }
 
@@ -523,34 +479,17 @@ pub struct SearchStep {
 impl<'a> ContactSearch<'a> {
     /// Starts a search with at most `most` solves. `contacts`: the initial active set.
     pub fn new(contacts: &'a mut Contacts, most: u32) -> ContactSearch<'a> {
-        ContactSearch {
-            contacts,
-            best: None,
-            solves: 0,
-            most,
-        }
+        ContactSearch { contacts, best: None, solves: 0, most }
     }
 
     /// Updates the active set after a solve with the result `minimiser`, m/s. `system`: the solved one, with all
     /// forces; `last`: whether no other solve can follow.
-    pub fn after(
-        &mut self,
-        system: &SolidSystem,
-        minimiser: Vec<[f64; 3]>,
-        last: bool,
-    ) -> SearchStep {
+    pub fn after(&mut self, system: &SolidSystem, minimiser: Vec<[f64; 3]>, last: bool) -> SearchStep {
         self.solves += 1;
         let violations = self.contacts.judge(system, &minimiser);
-        let report = ContactReport {
-            solves: self.solves,
-            unsettled: violations.beyond + violations.pulled,
-        };
+        let report = ContactReport { solves: self.solves, unsettled: violations.beyond + violations.pulled };
         if report.unsettled == 0 {
-            return SearchStep {
-                velocity: minimiser,
-                ended: true,
-                report,
-            };
+            return SearchStep { velocity: minimiser, ended: true, report };
         }
         let velocity = if violations.beyond == 0 {
             self.contacts.let_go(system, &minimiser);
@@ -563,20 +502,11 @@ impl<'a> ContactSearch<'a> {
             next
         };
         self.best = Some(velocity.clone());
-        SearchStep {
-            velocity,
-            ended: last || self.solves == self.most,
-            report,
-        }
+        SearchStep { velocity, ended: last || self.solves == self.most, report }
     }
 
     /// Steps from velocities towards others (m/s) as far as phi does not grow.
-    fn towards(
-        &self,
-        system: &SolidSystem,
-        from: &[[f64; 3]],
-        minimiser: &[[f64; 3]],
-    ) -> Vec<[f64; 3]> {
+    fn towards(&self, system: &SolidSystem, from: &[[f64; 3]], minimiser: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let stop = self.contacts.first_stop(from, minimiser);
         let shares = (0..=MOST_HALVINGS).map(|halvings| 0.5_f64.powi(halvings as i32));
         // A step shorter than the one to the first surface would leave the active set unchanged.

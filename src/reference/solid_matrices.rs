@@ -22,9 +22,7 @@ impl BlockPattern {
     pub fn new(solids: &Solids) -> BlockPattern {
         let pairs = |corners: &[u32; 4]| {
             let corners = *corners;
-            corners
-                .into_iter()
-                .flat_map(move |row| corners.map(|column| (row, column)))
+            corners.into_iter().flat_map(move |row| corners.map(|column| (row, column)))
         };
         let mut places: Vec<(u32, u32)> = solids.elements.iter().flat_map(pairs).collect();
         places.par_sort_unstable();
@@ -36,10 +34,7 @@ impl BlockPattern {
         for row in 0..solids.rest.len() {
             start[row + 1] += start[row];
         }
-        BlockPattern {
-            start,
-            columns: places.into_iter().map(|(_, column)| column).collect(),
-        }
+        BlockPattern { start, columns: places.into_iter().map(|(_, column)| column).collect() }
     }
 
     /// Index of the block of two nodes of an element.
@@ -72,10 +67,7 @@ impl BlockMatrix {
                 }
             }
         }
-        BlockMatrix {
-            pattern: Arc::clone(pattern),
-            blocks,
-        }
+        BlockMatrix { pattern: Arc::clone(pattern), blocks }
     }
 
     /// Number of nodes.
@@ -87,9 +79,7 @@ impl BlockMatrix {
     pub fn row(&self, node: usize) -> impl Iterator<Item = (usize, DMat3)> + '_ {
         let range = self.pattern.start[node]..self.pattern.start[node + 1];
         let columns = self.pattern.columns[range.clone()].iter();
-        columns
-            .map(|&column| column as usize)
-            .zip(self.blocks[range].iter().copied())
+        columns.map(|&column| column as usize).zip(self.blocks[range].iter().copied())
     }
 
     /// The diagonal block.
@@ -101,9 +91,7 @@ impl BlockMatrix {
     pub fn product(&self, node: usize, x: &[f64]) -> DVec3 {
         let at = |node: usize| DVec3::from_slice(&x[3 * node..]);
         let here = at(node);
-        self.row(node)
-            .map(|(column, block)| block * (at(column) - here))
-            .sum()
+        self.row(node).map(|(column, block)| block * (at(column) - here)).sum()
     }
 
     /// The matrix by scalars: x, y, z of node 0, then of node 1 and so on.
@@ -130,28 +118,16 @@ pub struct SolidMatrices {
 }
 
 /// Deformations, forces and stiffness for displacements of all nodes (m). Elements are added in ascending order.
-pub fn solid_matrices(
-    solids: &Solids,
-    pattern: &Arc<BlockPattern>,
-    displacement: &[[f64; 3]],
-) -> SolidMatrices {
+pub fn solid_matrices(solids: &Solids, pattern: &Arc<BlockPattern>, displacement: &[[f64; 3]]) -> SolidMatrices {
     let n_elements = solids.elements.len();
-    let deformations: Vec<Deformation> = (0..n_elements)
-        .into_par_iter()
-        .map(|element| solids.deformation(element, displacement))
-        .collect();
+    let deformations: Vec<Deformation> =
+        (0..n_elements).into_par_iter().map(|element| solids.deformation(element, displacement)).collect();
     let element_forces = (0..n_elements)
         .into_par_iter()
         .map(|element| {
             let body = solids.body_of_element(element);
             let (gradients, volume) = (&solids.gradients[element], solids.volume[element]);
-            forces(
-                gradients,
-                volume,
-                &deformations[element],
-                body.lambda,
-                body.mu,
-            )
+            forces(gradients, volume, &deformations[element], body.lambda, body.mu)
         })
         .collect();
     let stiffness = BlockMatrix::assemble(solids, pattern, |element, a, b| {
@@ -162,9 +138,5 @@ pub fn solid_matrices(
         };
         solids.volume[element] * stiffness_block(turned(a), turned(b), body.lambda, body.mu)
     });
-    SolidMatrices {
-        deformations,
-        element_forces,
-        stiffness,
-    }
+    SolidMatrices { deformations, element_forces, stiffness }
 }

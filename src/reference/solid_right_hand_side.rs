@@ -56,8 +56,5 @@ pub fn solid_right_hand_side(
         })
     });
     let values = values.collect();
-    SolidRightHandSide {
-        values,
-        scale: squares.x.sqrt() + squares.y.sqrt() + squares.z.sqrt(),
-    }
+    SolidRightHandSide { values, scale: squares.x.sqrt() + squares.y.sqrt() + squares.z.sqrt() }
 }

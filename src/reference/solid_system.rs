@@ -51,12 +51,8 @@ impl SolidSystem {
         let mut system = SolidSystem {
             stiffness,
             lumped: solids.mass.clone(),
-            mass: (0..n)
-                .map(|node| solids.body_of_node(node).zeta_mass(dt) * solids.mass[node])
-                .collect(),
-            zeta_stiffness: (0..n)
-                .map(|node| solids.body_of_node(node).zeta_stiffness(dt))
-                .collect(),
+            mass: (0..n).map(|node| solids.body_of_node(node).zeta_mass(dt) * solids.mass[node]).collect(),
+            zeta_stiffness: (0..n).map(|node| solids.body_of_node(node).zeta_stiffness(dt)).collect(),
             freedom: Vec::new(),
             forces: rhs.values.clone(),
             forces_scale: rhs.scale,
@@ -79,19 +75,12 @@ impl SolidSystem {
         let constrained_product = self.product(&self.constrained);
         let values = self.free_part(&self.forces);
         let pairs = values.iter().zip(&constrained_product);
-        self.rhs = pairs
-            .map(|(value, constrained_product)| value - constrained_product)
-            .collect();
+        self.rhs = pairs.map(|(value, constrained_product)| value - constrained_product).collect();
         self.rhs_scale = self.forces_scale + norm(&constrained_product);
     }
 
     /// The system of the same step with other zeta_M (1/s) and zeta_K (s) per body, and another right-hand side.
-    pub fn changed(
-        &self,
-        solids: &Solids,
-        zeta: impl Fn(&Body) -> [f64; 2],
-        rhs: &SolidRightHandSide,
-    ) -> SolidSystem {
+    pub fn changed(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2], rhs: &SolidRightHandSide) -> SolidSystem {
         let mut system = self.clone();
         for node in 0..self.mass.len() {
             let [mass, stiffness] = zeta(solids.body_of_node(node));
@@ -107,10 +96,7 @@ impl SolidSystem {
 
     /// The right-hand side with all directions free.
     pub fn right_hand_side(&self) -> SolidRightHandSide {
-        SolidRightHandSide {
-            values: self.forces.clone(),
-            scale: self.forces_scale,
-        }
+        SolidRightHandSide { values: self.forces.clone(), scale: self.forces_scale }
     }
 
     /// M v / dt in components that are not prescribed, N; `velocity` in m/s.
@@ -123,10 +109,7 @@ impl SolidSystem {
             })
         });
         let values: Vec<[f64; 3]> = values.collect();
-        SolidRightHandSide {
-            scale: norm(values.as_flattened()),
-            values,
-        }
+        SolidRightHandSide { scale: norm(values.as_flattened()), values }
     }
 
     /// Adds forces on all nodes, N, three numbers per node.
@@ -153,9 +136,7 @@ impl SolidSystem {
     /// P y: the free part of node vectors.
     pub fn free_part(&self, y: &[[f64; 3]]) -> Vec<f64> {
         let nodes = self.freedom.iter().zip(y);
-        nodes
-            .flat_map(|(freedom, &y)| (freedom.projector * DVec3::from(y)).to_array())
-            .collect()
+        nodes.flat_map(|(freedom, &y)| (freedom.projector * DVec3::from(y)).to_array()).collect()
     }
 
     /// Constraint projector per node.
@@ -176,9 +157,7 @@ impl SolidSystem {
     /// Components that are not prescribed, ascending: three times the node, plus 0, 1, 2 for x, y, z.
     pub fn components(&self) -> Vec<usize> {
         let components = 0..3 * self.freedom.len();
-        components
-            .filter(|&component| self.is_free(component))
-            .collect()
+        components.filter(|&component| self.is_free(component)).collect()
     }
 
     fn is_free(&self, component: usize) -> bool {
@@ -189,9 +168,7 @@ impl SolidSystem {
     pub fn residual(&self, x: &[f64]) -> Vec<f64> {
         let product = self.product(x);
         let rhs = self.rhs.iter();
-        rhs.zip(product)
-            .map(|(rhs, product)| rhs - product)
-            .collect()
+        rhs.zip(product).map(|(rhs, product)| rhs - product).collect()
     }
 
     /// Velocities of all nodes from the unknowns, m/s.
@@ -199,8 +176,7 @@ impl SolidSystem {
         let (nodes, _) = x.as_chunks::<3>();
         let (constrained, _) = self.constrained.as_chunks::<3>();
         let sums = nodes.iter().zip(constrained);
-        sums.map(|(x, constrained)| std::array::from_fn(|axis| x[axis] + constrained[axis]))
-            .collect()
+        sums.map(|(x, constrained)| std::array::from_fn(|axis| x[axis] + constrained[axis])).collect()
     }
 
     /// zeta_M m per node, kg/s: the mass term of S.
@@ -219,9 +195,7 @@ impl SolidSystem {
     /// free directions only. Computed from their difference, because a difference of two sums would cancel.
     pub fn gain(&self, from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
         let pairs = from.iter().zip(to);
-        let sums: Vec<[f64; 3]> = pairs
-            .map(|(from, to)| [0, 1, 2].map(|axis| from[axis] + to[axis]))
-            .collect();
+        let sums: Vec<[f64; 3]> = pairs.map(|(from, to)| [0, 1, 2].map(|axis| from[axis] + to[axis])).collect();
         let slopes = self.multiply(&sums).into_iter().zip(&self.forces);
         let slopes = slopes.map(|(product, forces)| 0.5 * product - DVec3::from(*forces));
         let ways = from.iter().zip(to);
@@ -293,9 +267,7 @@ impl SolidSystem {
         Csr::from_rows(number.len(), self.components().len(), |row, entries| {
             let (node, axis) = (row / 3, row % 3);
             let values = self.freedom[node].projector.row(axis);
-            entries.extend((0..3).filter_map(|other| {
-                number[3 * node + other].map(|column| (column, values[other]))
-            }));
+            entries.extend((0..3).filter_map(|other| number[3 * node + other].map(|column| (column, values[other]))));
         })
     }
 
@@ -353,12 +325,9 @@ impl LinearOperator for SolidSystem {
     }
 
     fn apply(&self, x: &[f64], y: &mut [f64]) {
-        y.par_chunks_mut(3)
-            .with_min_len(256)
-            .enumerate()
-            .for_each(|(node, y)| {
-                let free = self.freedom[node].projector * self.row_times(node, x);
-                y.copy_from_slice(&free.to_array());
-            });
+        y.par_chunks_mut(3).with_min_len(256).enumerate().for_each(|(node, y)| {
+            let free = self.freedom[node].projector * self.row_times(node, x);
+            y.copy_from_slice(&free.to_array());
+        });
     }
 }

@@ -31,18 +31,10 @@ pub fn solve(system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, So
 ///
 /// # Errors
 /// When the factor does not fit into memory.
-pub fn solve_direct(
-    system: &PressureSystem,
-    settings: &Solver,
-) -> Result<(Vec<f64>, SolveReport), Error> {
+pub fn solve_direct(system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, SolveReport), Error> {
     let cells = system.stencil.active_cells();
     if cells.is_empty() {
-        let nothing = SolveReport {
-            unknowns: 0,
-            iterations: 0,
-            residual: 0.0,
-            status: SolveStatus::Converged,
-        };
+        let nothing = SolveReport { unknowns: 0, iterations: 0, residual: 0.0, status: SolveStatus::Converged };
         return Ok((vec![0.0; system.rhs.len()], nothing));
     }
     // The pressure of an enclosed component is determined up to a constant. Its right-hand side has mean zero, so a
@@ -60,21 +52,13 @@ pub fn solve_direct(
         for (&cell, value) in cells.iter().zip(active) {
             x[cell] = value;
         }
-        Correction {
-            x,
-            iterations: 0,
-            end: CgEnd::Converged,
-        }
+        Correction { x, iterations: 0, end: CgEnd::Converged }
     }))
 }
 
 /// The correction of a matrix without a factor in f64: a breakdown of the solve.
 pub(super) fn broken_down(residual: &[f64], _: f64, _: u32) -> Correction {
-    Correction {
-        x: vec![0.0; residual.len()],
-        iterations: 0,
-        end: CgEnd::Breakdown,
-    }
+    Correction { x: vec![0.0; residual.len()], iterations: 0, end: CgEnd::Breakdown }
 }
 
 /// Solves by conjugate gradients with one V-cycle as the preconditioner, independent of the size.
@@ -83,19 +67,8 @@ pub fn solve_iterative(system: &PressureSystem, settings: &Solver) -> (Vec<f64>,
     refine(system, settings, |rhs, tolerance, iterations_left| {
         let scaled: Vec<f64> = rhs.iter().map(|r| r / system.scale).collect();
         let mut x = vec![0.0; rhs.len()];
-        let cg = conjugate_gradient(
-            &system.stencil,
-            &multigrid,
-            &scaled,
-            &mut x,
-            tolerance,
-            iterations_left as usize,
-        );
-        Correction {
-            x,
-            iterations: cg.iterations as u32,
-            end: cg.end,
-        }
+        let cg = conjugate_gradient(&system.stencil, &multigrid, &scaled, &mut x, tolerance, iterations_left as usize);
+        Correction { x, iterations: cg.iterations as u32, end: cg.end }
     })
 }
 

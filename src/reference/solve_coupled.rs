@@ -16,8 +16,8 @@ use crate::Error;
 use crate::elastic::{Body, Solids};
 use crate::geometry::Coupling;
 use crate::linalg::{
-    CgEnd, CgReport, Cholesky, Csr, HeldRows, Incomplete, LinearOperator, SymbolicCholesky,
-    conjugate_gradient, minimal_residual, norm, stabilised_biconjugate_gradient,
+    CgEnd, CgReport, Cholesky, Csr, HeldRows, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient,
+    minimal_residual, norm, stabilised_biconjugate_gradient,
 };
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport, SolveStatus};
@@ -51,8 +51,7 @@ pub struct CoupledSolution {
 }
 
 /// Operator, preconditioner, b, x, tolerance, largest number of iterations.
-type Iterate =
-    fn(&dyn LinearOperator, &dyn LinearOperator, &[f64], &mut [f64], f64, usize) -> CgReport;
+type Iterate = fn(&dyn LinearOperator, &dyn LinearOperator, &[f64], &mut [f64], f64, usize) -> CgReport;
 
 /// A formulation of the coupled system.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,11 +94,7 @@ impl Formulation<'_> {
 
     /// The formulation for a system of this size.
     pub fn of(system: &CoupledSystem) -> Formulation<'static> {
-        if system.n_unknowns() <= DIRECT_UNKNOWNS {
-            Formulation::Indefinite
-        } else {
-            Formulation::Condensed
-        }
+        if system.n_unknowns() <= DIRECT_UNKNOWNS { Formulation::Indefinite } else { Formulation::Condensed }
     }
 }
 
@@ -118,11 +113,7 @@ pub fn solve_coupled(
     let corrected = |correct: &mut dyn FnMut(&[f64], f64, u32) -> Correction| {
         let (x, reports) = refine_parts(system, settings, correct);
         let (pressure, velocity) = system.split(x);
-        Ok(CoupledSolution {
-            pressure,
-            velocity,
-            reports: [reports[0], reports[1]],
-        })
+        Ok(CoupledSolution { pressure, velocity, reports: [reports[0], reports[1]] })
     };
     match formulation {
         Formulation::Indefinite => {
@@ -143,10 +134,7 @@ pub fn solve_coupled(
             let matrix = blocks.indefinite();
             let minimal = formulation == Formulation::IndefiniteMinimalResidual;
             let (preconditioner, iterate): (Box<dyn LinearOperator>, Iterate) = if minimal {
-                let both = Both {
-                    liquid: incomplete(&blocks.b)?,
-                    solids: incomplete(&blocks.s)?,
-                };
+                let both = Both { liquid: incomplete(&blocks.b)?, solids: incomplete(&blocks.s)? };
                 (Box::new(both), minimal_residual)
             } else {
                 let whole = incomplete(&matrix)?;
@@ -265,9 +253,7 @@ fn condensed<'a>(
         // r_p + J S^-1 r_v over the scale of B; the residual of S v - J^T p = -w is -r_v.
         let free = inverse(velocity_rows);
         let pairs = pressure_rows.iter().zip(system.flux(&free));
-        let rhs: Vec<f64> = pairs
-            .map(|(r, flux)| (r - flux) / system.pressure.scale)
-            .collect();
+        let rhs: Vec<f64> = pairs.map(|(r, flux)| (r - flux) / system.pressure.scale).collect();
         let mut x = vec![0.0; rhs.len()];
         let most = left as usize;
         let report = conjugate_gradient(&operator, &multigrid, &rhs, &mut x, tolerance, most);
@@ -339,15 +325,9 @@ fn solve_held(
     let prescribed = system.solid.velocity(&vec![0.0; system.solid.rhs.len()]);
     let mut shift = vec![0.0; system.solid.rhs.len()];
     held.add_velocity(&held.meeting(prescribed.as_flattened()), &mut shift);
-    let mut held_system = HeldSystem {
-        system,
-        held,
-        flux: system.flux(&shift),
-        rhs: system.rhs().to_vec(),
-    };
+    let mut held_system = HeldSystem { system, held, flux: system.flux(&shift), rhs: system.rhs().to_vec() };
     let rhs = held_system.rhs[..n_cells].iter_mut();
-    rhs.zip(&held_system.flux)
-        .for_each(|(rhs, flux)| *rhs -= flux);
+    rhs.zip(&held_system.flux).for_each(|(rhs, flux)| *rhs -= flux);
     let (mut x, reports) = match Inverse::new(system, solver, solids)? {
         None => refine_parts(&held_system, settings, broken_down),
         Some(inverse) => {
@@ -362,11 +342,7 @@ fn solve_held(
     let velocities = x[n_cells..].iter_mut();
     velocities.zip(&shift).for_each(|(x, shift)| *x += shift);
     let (pressure, velocity) = system.split(x);
-    Ok(CoupledSolution {
-        pressure,
-        velocity,
-        reports: [reports[0], reports[1]],
-    })
+    Ok(CoupledSolution { pressure, velocity, reports: [reports[0], reports[1]] })
 }
 
 /// The coupled solves of a sub-step.
@@ -394,15 +370,7 @@ impl Together<'_> {
         solid: &SolidSystem,
         held: Option<&HeldRows>,
     ) -> Result<(CoupledSystem, CoupledSolution), Error> {
-        let Together {
-            pressure,
-            separation,
-            coupling,
-            solver,
-            solids,
-            settings,
-            iterations,
-        } = self;
+        let Together { pressure, separation, coupling, solver, solids, settings, iterations } = self;
         let mut solved = |pressure: PressureSystem| -> Result<_, Error> {
             let system = CoupledSystem::new(pressure, solid.clone(), coupling);
             let mut solution = match held {
@@ -425,11 +393,7 @@ impl Together<'_> {
             let (system, solution) = solved(masked.clone())?;
             let mut flux = vec![0.0; masked.rhs.len()];
             coupling.add_product(solution.velocity.as_flattened(), &mut flux);
-            Ok(Round {
-                pressure: solution.pressure.clone(),
-                flux,
-                solution: (system, solution),
-            })
+            Ok(Round { pressure: solution.pressure.clone(), flux, solution: (system, solution) })
         })?;
         Ok(last.solution)
     }
@@ -450,24 +414,14 @@ pub fn solve_coupled_in_contact(
     solids: &Solids,
     settings: &Solver,
 ) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
-    let mut together = Together {
-        pressure,
-        separation,
-        coupling,
-        solver,
-        solids,
-        settings,
-        iterations: 0,
-    };
+    let mut together = Together { pressure, separation, coupling, solver, solids, settings, iterations: 0 };
     let mut search = ContactSearch::new(contacts, MAX_SOLVES - 1);
     loop {
         let (system, solution) = together.solve(solid, None)?;
         // Liquid forces press nodes to walls too.
         let mut pushed = solid.clone();
         let mut force = vec![0.0; pushed.rhs.len()];
-        system
-            .coupling
-            .add_transposed(&solution.pressure, &mut force);
+        system.coupling.add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
         let mut iterate = search.after(&pushed, solution.velocity.clone(), false);
         let found_all = solution.reports[0].status.is_best_attainable();
@@ -489,19 +443,11 @@ pub fn solve_coupled_in_contact(
 
 /// A correction without iterations.
 fn direct(x: Vec<f64>) -> Correction {
-    Correction {
-        x,
-        iterations: 0,
-        end: CgEnd::Converged,
-    }
+    Correction { x, iterations: 0, end: CgEnd::Converged }
 }
 
 fn iterated(x: Vec<f64>, report: CgReport) -> Correction {
-    Correction {
-        x,
-        iterations: report.iterations as u32,
-        end: report.end,
-    }
+    Correction { x, iterations: report.iterations as u32, end: report.end }
 }
 
 fn incomplete(matrix: &Csr) -> Result<Incomplete, Error> {
@@ -564,10 +510,7 @@ impl Blocks {
     pub fn two_field(&self, sigma: f64) -> Result<Csr, Error> {
         let inverse: Vec<f64> = self.z1(sigma).iter().map(|z1| 1.0 / z1).collect();
         let z2 = self.z2(sigma);
-        let j_over_z1 = self
-            .j
-            .clone()
-            .scaled(&vec![1.0; self.cells.len()], &inverse);
+        let j_over_z1 = self.j.clone().scaled(&vec![1.0; self.cells.len()], &inverse);
         let z2_over_z1 = z2.clone().scaled(&vec![1.0; inverse.len()], &inverse);
         let a11 = self.b.plus(1.0, &j_over_z1.product(&self.j.transpose())?);
         let a12 = j_over_z1.product(&z2)?;
@@ -609,11 +552,7 @@ impl<'a> Inverse<'a> {
     ///
     /// # Errors
     /// When the factor does not fit into memory.
-    fn new(
-        system: &'a CoupledSystem,
-        solver: &'a SolidSolver,
-        solids: &Solids,
-    ) -> Result<Option<Inverse<'a>>, Error> {
+    fn new(system: &'a CoupledSystem, solver: &'a SolidSolver, solids: &Solids) -> Result<Option<Inverse<'a>>, Error> {
         let (solid, components) = (&system.solid, system.solid.components());
         if components.is_empty() {
             Ok(Some(Inverse::Nothing))
@@ -732,11 +671,7 @@ pub fn solve_weak(
     coupling.add_transposed(&field, &mut force);
     solid.push(&force);
     let (velocity, solid_report) = solve_solid(solid)?;
-    Ok(CoupledSolution {
-        pressure: field,
-        velocity,
-        reports: [pressure_report, solid_report],
-    })
+    Ok(CoupledSolution { pressure: field, velocity, reports: [pressure_report, solid_report] })
 }
 
 /// Damping-only coupling: first (M/dt + dt K) v' = -w for the solids alone. Then the coupled system with S replaced
@@ -757,8 +692,7 @@ pub fn solve_damping_only(
     let dt = solid.dt();
     let undamped = |_: &Body| [1.0 / dt, dt];
     let mut elastic = solid.changed(solids, undamped, &solid.right_hand_side());
-    let (mut velocity, report, before) =
-        solver.solve_in_contact(solids, &mut elastic, contacts, settings)?;
+    let (mut velocity, report, before) = solver.solve_in_contact(solids, &mut elastic, contacts, settings)?;
     let damping = |body: &Body| [1.0 / dt + body.mass_damping, body.stiffness_damping];
     *solid = solid.changed(solids, damping, &solid.inertia(&velocity));
     solid.free(contacts.hold(&mut velocity), &velocity);

@@ -31,10 +31,7 @@ pub struct SolidSolver {
 impl SolidSolver {
     /// The solver of all steps of these solids.
     pub fn new(solids: &Solids) -> SolidSolver {
-        SolidSolver {
-            bounds: Bounds::new(solids),
-            symbolic: Arc::default(),
-        }
+        SolidSolver { bounds: Bounds::new(solids), symbolic: Arc::default() }
     }
 
     /// Solves S v = rhs: velocities of all nodes (m/s) and the report.
@@ -88,18 +85,10 @@ impl SolidSolver {
     ///
     /// # Errors
     /// When the factor does not fit into memory.
-    pub fn solve_direct(
-        &self,
-        system: &SolidSystem,
-        settings: &Solver,
-    ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
+    pub fn solve_direct(&self, system: &SolidSystem, settings: &Solver) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
         let components = system.components();
         // A matrix that is not positive definite in f64 is a breakdown of the solve.
-        let factor = if system.rhs.iter().any(|&b| b != 0.0) {
-            self.factorise(system)?
-        } else {
-            None
-        };
+        let factor = if system.rhs.iter().any(|&b| b != 0.0) { self.factorise(system)? } else { None };
         let (x, report) = refine(system, settings, |rhs, _, _| {
             let mut x = vec![0.0; rhs.len()];
             let end = match &factor {
@@ -113,11 +102,7 @@ impl SolidSolver {
                     CgEnd::Converged
                 }
             };
-            Correction {
-                x,
-                iterations: 0,
-                end,
-            }
+            Correction { x, iterations: 0, end }
         });
         Ok((system.velocity(&x), report))
     }
@@ -158,11 +143,7 @@ impl SolidSolver {
             let mut x = vec![0.0; rhs.len()];
             let most = iterations_left as usize;
             let cg = conjugate_gradient(system, &polynomial, rhs, &mut x, tolerance, most);
-            Correction {
-                x,
-                iterations: cg.iterations as u32,
-                end: cg.end,
-            }
+            Correction { x, iterations: cg.iterations as u32, end: cg.end }
         });
         (system.velocity(&x), report)
     }
@@ -214,9 +195,7 @@ impl<'a> Chebyshev<'a> {
     /// D^-1 r.
     fn scaled(&self, r: &[f64]) -> Vec<f64> {
         let nodes = self.inverse_diagonal.iter().zip(r.chunks_exact(3));
-        nodes
-            .flat_map(|(inverse, r)| (inverse * DVec3::from_slice(r)).to_array())
-            .collect()
+        nodes.flat_map(|(inverse, r)| (inverse * DVec3::from_slice(r)).to_array()).collect()
     }
 }
 

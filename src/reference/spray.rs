@@ -16,35 +16,19 @@ use crate::state::Diagnosis;
 /// Whether no cell around a point (m) contains liquid. `liquid_distance` in m.
 pub(super) fn flies(grid: &Grid, liquid_distance: &[f64], x: [f64; 3]) -> bool {
     let around = tent(grid, x.into()).into_iter();
-    around
-        .map(|(cell, _)| liquid_distance[cell])
-        .all(|phi| phi >= 0.0)
+    around.map(|(cell, _)| liquid_distance[cell]).all(|phi| phi >= 0.0)
 }
 
 /// Updates velocities and spray. `liquid_distance` in m, `faces` in m/s. Returns the markers that start to fly.
-pub fn spray(
-    grid: &Grid,
-    liquid_distance: &[f64],
-    faces: &[Vec<f64>; 3],
-    markers: &mut Markers,
-) -> Vec<usize> {
+pub fn spray(grid: &Grid, liquid_distance: &[f64], faces: &[Vec<f64>; 3], markers: &mut Markers) -> Vec<usize> {
     let pairs = markers.position.par_iter().zip(&markers.spray);
     let moving = markers.velocity.par_iter_mut().zip(pairs);
     moving
         .filter(|(_, (_, spray))| !**spray)
-        .for_each(|(velocity, (x, _))| {
-            *velocity = grid.velocity_at(faces, DVec3::from(*x)).to_array()
-        });
-    let starts = |&marker: &usize| {
-        !markers.spray[marker] && flies(grid, liquid_distance, markers.position[marker])
-    };
-    let started: Vec<usize> = (0..markers.spray.len())
-        .into_par_iter()
-        .filter(starts)
-        .collect();
-    started
-        .iter()
-        .for_each(|&marker| markers.spray[marker] = true);
+        .for_each(|(velocity, (x, _))| *velocity = grid.velocity_at(faces, DVec3::from(*x)).to_array());
+    let starts = |&marker: &usize| !markers.spray[marker] && flies(grid, liquid_distance, markers.position[marker]);
+    let started: Vec<usize> = (0..markers.spray.len()).into_par_iter().filter(starts).collect();
+    started.iter().for_each(|&marker| markers.spray[marker] = true);
     started
 }
 
@@ -69,13 +53,7 @@ pub fn add_spray<'a>(
 }
 
 /// Moves the volume of markers that changed between spray and the targets of the components (m^3).
-pub fn move_spray_volume(
-    grid: &Grid,
-    label: &[u32],
-    markers: &Markers,
-    changed: &[usize],
-    volume_0: &mut [f64],
-) {
+pub fn move_spray_volume(grid: &Grid, label: &[u32], markers: &Markers, changed: &[usize], volume_0: &mut [f64]) {
     let one = grid.cell_volume() / PER_CELL;
     for &marker in changed {
         let near = label_at(grid, label, markers.position[marker].into());

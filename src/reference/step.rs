@@ -13,16 +13,14 @@ use level::LevelResults;
 use super::boundary::Boundary;
 use super::path::Model;
 use super::{
-    ActiveCells, Contacts, CoupledSystem, Lost, PressureSystem, Separation, SolidMatrices,
-    SolidSystem, TimeStep,
+    ActiveCells, Contacts, CoupledSystem, Lost, PressureSystem, Separation, SolidMatrices, SolidSystem, TimeStep,
 };
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::{ContactField, Running};
 use crate::scene::Liquid;
 use crate::state::{
-    ContactReport, CouplingReport, Exchange, LiquidReport, SolidReport, SolveReport, State,
-    StepReport,
+    ContactReport, CouplingReport, Exchange, LiquidReport, SolidReport, SolveReport, State, StepReport,
 };
 use crate::step::{self as schedule, Backend, Stage};
 
@@ -156,12 +154,7 @@ impl<'a> SubStep<'a> {
         let Model { scene, effects, .. } = self.model;
         schedule::run(&mut self, effects, false)?;
         let (mut state, results) = (self.after, self.results);
-        let TimeStep {
-            dt,
-            floored,
-            wave_cfl,
-            ..
-        } = self.time_step;
+        let TimeStep { dt, floored, wave_cfl, .. } = self.time_step;
         state.volume_0 = results.volume_0_next.unwrap_or(state.volume_0);
         state.markers_dropped += results.removed_markers.dropped;
         state.advance_clock(dt, scene.time.frames_per_second);
@@ -190,10 +183,6 @@ impl<'a> SubStep<'a> {
         if finite {
             return Ok(());
         }
-        Err(Error::Stage {
-            stage: stage.name(),
-            step: self.before.step,
-            problem: "a number is not finite".to_string(),
-        })
+        Err(Error::Stage { stage: stage.name(), step: self.before.step, problem: "a number is not finite".to_string() })
     }
 }

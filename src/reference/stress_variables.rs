@@ -24,11 +24,7 @@ pub struct StressVariables {
 
 impl StressVariables {
     /// G of deformed elements, with the zeta_K (s) of each body.
-    pub fn new(
-        solids: &Solids,
-        deformations: &[Deformation],
-        zeta: impl Fn(&Body) -> f64,
-    ) -> StressVariables {
+    pub fn new(solids: &Solids, deformations: &[Deformation], zeta: impl Fn(&Body) -> f64) -> StressVariables {
         let n = 6 * solids.elements.len();
         let mut rows = Vec::new();
         let matrix = Csr::from_rows(n, 3 * solids.rest.len(), |row, entries| {
@@ -55,24 +51,15 @@ impl StressVariables {
         let n_z = self.matrix.n_rows();
         let g = self.matrix.product(&blocks.free)?;
         let inverse: Vec<f64> = blocks.mass.iter().map(|mass| 1.0 / mass).collect();
-        let j_over_d = blocks
-            .j
-            .clone()
-            .scaled(&vec![1.0; blocks.cells.len()], &inverse);
+        let j_over_d = blocks.j.clone().scaled(&vec![1.0; blocks.cells.len()], &inverse);
         let g_over_d = g.clone().scaled(&vec![1.0; n_z], &inverse);
         let transposed = g.transpose();
-        let pp = blocks
-            .b
-            .plus(1.0, &j_over_d.product(&blocks.j.transpose())?);
+        let pp = blocks.b.plus(1.0, &j_over_d.product(&blocks.j.transpose())?);
         let pz = j_over_d.product(&transposed)?;
         let pz = pz.scaled(&vec![-1.0; blocks.cells.len()], &vec![1.0; n_z]);
         let zz = Csr::diagonal_of(&vec![1.0; n_z]).plus(1.0, &g_over_d.product(&transposed)?);
         let matrix = Csr::bordered(&pp, &pz, 1.0, &zz);
-        let system = StressSystem {
-            j_over_d,
-            g_over_d,
-            inverse,
-        };
+        let system = StressSystem { j_over_d, g_over_d, inverse };
         Ok((system, matrix))
     }
 }
@@ -100,26 +87,18 @@ impl StressSystem {
     /// Pressures and velocities from pressures and stresses.
     pub fn unknowns(&self, x: &[f64], rhs: &[f64]) -> Vec<f64> {
         let (pressure, stress) = x.split_at(self.j_over_d.n_rows());
-        let (mut pressure_part, mut stress_part) =
-            (vec![0.0; self.inverse.len()], vec![0.0; self.inverse.len()]);
-        self.j_over_d
-            .transpose()
-            .multiply(pressure, &mut pressure_part);
+        let (mut pressure_part, mut stress_part) = (vec![0.0; self.inverse.len()], vec![0.0; self.inverse.len()]);
+        self.j_over_d.transpose().multiply(pressure, &mut pressure_part);
         self.g_over_d.transpose().multiply(stress, &mut stress_part);
         let minus_w = &rhs[pressure.len()..];
-        let velocity = (0..pressure_part.len())
-            .map(|at| pressure_part[at] - stress_part[at] + minus_w[at] * self.inverse[at]);
+        let velocity =
+            (0..pressure_part.len()).map(|at| pressure_part[at] - stress_part[at] + minus_w[at] * self.inverse[at]);
         pressure.iter().copied().chain(velocity).collect()
     }
 }
 
 /// The six rows of an element, columns ascending.
-fn element_rows(
-    solids: &Solids,
-    element: usize,
-    deformation: &Deformation,
-    zeta: f64,
-) -> Vec<Vec<(usize, f64)>> {
+fn element_rows(solids: &Solids, element: usize, deformation: &Deformation, zeta: f64) -> Vec<Vec<(usize, f64)>> {
     let body = solids.body_of_element(element);
     let (lambda, mu) = (body.lambda, body.mu);
     let factor = (zeta * solids.volume[element]).sqrt();
@@ -129,12 +108,7 @@ fn element_rows(
     let upper = [
         [root, lambda / root, lambda / root],
         [0.0, 2.0 * square / root, lambda * mu / (square * root)],
-        [
-            0.0,
-            0.0,
-            mu * (4.0 * mu * mu + 8.0 * lambda * mu + 3.0 * lambda * lambda).sqrt()
-                / (square * root),
-        ],
+        [0.0, 0.0, mu * (4.0 * mu * mu + 8.0 * lambda * mu + 3.0 * lambda * lambda).sqrt() / (square * root)],
     ];
     let mut rows = vec![Vec::new(); 6];
     let mut corners: Vec<(usize, DVec3)> = solids.elements[element]
@@ -148,8 +122,7 @@ fn element_rows(
             // A unit velocity along an axis, in the frame of the element.
             let turned = deformation.rotation.transpose() * DVec3::AXES[axis];
             let straight = turned * gradient;
-            let shear =
-                |i: usize, j: usize| 0.5 * (turned[i] * gradient[j] + turned[j] * gradient[i]);
+            let shear = |i: usize, j: usize| 0.5 * (turned[i] * gradient[j] + turned[j] * gradient[i]);
             let across = [shear(1, 2), shear(0, 2), shear(0, 1)];
             for k in 0..3 {
                 let value = DVec3::from(upper[k]).dot(straight);

@@ -32,8 +32,7 @@ pub fn surface_distance(grid: &Grid, solid_distance: &[f64], liquid_distance: &[
             return liquid_distance[cell];
         }
         let here = IVec3::from(grid.cell_at(cell).map(|n| n as i32));
-        let offsets = around()
-            .flat_map(|z| around().flat_map(move |y| around().map(move |x| IVec3::new(x, y, z))));
+        let offsets = around().flat_map(|z| around().flat_map(move |y| around().map(move |x| IVec3::new(x, y, z))));
         let recomputed = offsets.filter_map(|offset| {
             let there = inside(here + offset)
                 .then(|| grid.cell((here + offset).to_array().map(|n| n as usize)))

@@ -36,13 +36,8 @@ pub struct TimeStep {
 
 impl TimeStep {
     /// No time passes.
-    pub const NONE: TimeStep = TimeStep {
-        dt: 0.0,
-        floored: false,
-        control_time: f64::INFINITY,
-        wave_cfl: 0.0,
-        motion: 0.0,
-    };
+    pub const NONE: TimeStep =
+        TimeStep { dt: 0.0, floored: false, control_time: f64::INFINITY, wave_cfl: 0.0, motion: 0.0 };
 }
 
 /// Limits of the sub-steps of a scene.
@@ -107,9 +102,7 @@ impl StepLimits {
         let wave_cfl = if self.surface { WAVE_CFL } else { self.cfl };
         let wave = |span: f64| wave_cfl * (self.dx / self.acceleration(time, span)).sqrt();
         // Without accelerations and motion all are infinite, and the frame is one sub-step.
-        let mut longest = (self.cfl * self.dx / speed)
-            .min(self.longest)
-            .min(wave(0.0));
+        let mut longest = (self.cfl * self.dx / speed).min(self.longest).min(wave(0.0));
         if dt_last > 0.0 {
             // Two equal parts of a frame would never grow into one.
             let whole = 2.0 * dt_last * (1.0 + ROUNDING) >= left;

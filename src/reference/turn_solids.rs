@@ -45,12 +45,7 @@ const LEFT: f64 = 1e-6;
 /// coordinate axis e alone, as in plane strain, about its centroid. Prescribed components do not change.
 ///
 /// `displacement` (m) and `velocity` (m/s) of all nodes are updated in place.
-pub fn turn_solids(
-    solids: &Solids,
-    dt: f64,
-    displacement: &mut [[f64; 3]],
-    velocity: &mut [[f64; 3]],
-) {
+pub fn turn_solids(solids: &Solids, dt: f64, displacement: &mut [[f64; 3]], velocity: &mut [[f64; 3]]) {
     for RotatingBody { nodes, pivot } in solids.rotating_bodies() {
         let nodes = || nodes.clone();
         let mean = |of: &dyn Fn(usize) -> DVec3| {
@@ -60,26 +55,17 @@ pub fn turn_solids(
         let x = |node: usize| solids.rest[node] + DVec3::from(displacement[node]);
         let (c, v_c) = match pivot {
             Pivot::Hinge([hinge, _]) => (x(hinge), DVec3::ZERO),
-            Pivot::Centroid | Pivot::Axis(_) => {
-                (mean(&x), mean(&|node| DVec3::from(velocity[node])))
-            }
+            Pivot::Centroid | Pivot::Axis(_) => (mean(&x), mean(&|node| DVec3::from(velocity[node]))),
         };
         let hinge = match pivot {
             Pivot::Centroid => None,
             Pivot::Axis(axis) => Some(DVec3::AXES[axis]),
             Pivot::Hinge([a, b]) => (x(b) - x(a)).try_normalize(),
         };
-        let arms: Vec<[DVec3; 2]> = nodes()
-            .map(|node| [x(node) - c, DVec3::from(velocity[node]) - v_c])
-            .collect();
+        let arms: Vec<[DVec3; 2]> = nodes().map(|node| [x(node) - c, DVec3::from(velocity[node]) - v_c]).collect();
         let masses = &solids.mass[nodes()];
-        let momentum: DVec3 = masses
-            .iter()
-            .zip(&arms)
-            .map(|(mass, [r, v])| mass * r.cross(*v))
-            .sum();
-        let Some(inverse) = inverse_inertia(hinge, masses.iter().zip(arms.iter().map(|[r, _]| *r)))
-        else {
+        let momentum: DVec3 = masses.iter().zip(&arms).map(|(mass, [r, v])| mass * r.cross(*v)).sum();
+        let Some(inverse) = inverse_inertia(hinge, masses.iter().zip(arms.iter().map(|[r, _]| *r))) else {
             continue;
         };
         let w = inverse * momentum;
@@ -99,11 +85,7 @@ pub fn turn_solids(
                 (r + dt * v + s, s, v)
             })
         };
-        let lost: DVec3 = masses
-            .iter()
-            .zip(after())
-            .map(|(mass, (_, s, v))| mass * v.cross(s))
-            .sum();
+        let lost: DVec3 = masses.iter().zip(after()).map(|(mass, (_, s, v))| mass * v.cross(s)).sum();
         let inverse = inverse_inertia(hinge, masses.iter().zip(after().map(|(r, ..)| r)));
         let dw = inverse.map_or(DVec3::ZERO, |inverse| inverse * lost);
         let after: Vec<_> = after().collect();
@@ -121,8 +103,7 @@ pub fn turn_solids(
 /// Angular velocity of the implicit midpoint rule: w = I^-1 y, y + dt/2 w x y = L, with I the initial inertia.
 /// Newton's method; I^-1 L if it does not converge.
 fn midway(inverse: DMat3, momentum: DVec3, dt: f64) -> DVec3 {
-    let turns =
-        |w: DVec3| DMat3::from_cols(w.cross(DVec3::X), w.cross(DVec3::Y), w.cross(DVec3::Z));
+    let turns = |w: DVec3| DMat3::from_cols(w.cross(DVec3::X), w.cross(DVec3::Y), w.cross(DVec3::Z));
     let left = |y: DVec3| y + 0.5 * dt * (inverse * y).cross(y) - momentum;
     let mut y = momentum;
     for _ in 0..ROUNDS {
@@ -136,10 +117,7 @@ fn midway(inverse: DMat3, momentum: DVec3, dt: f64) -> DVec3 {
 
 /// Inverse of sum m (|r|^2 I - r r^T), about the hinge alone if there is one. `None` for bodies on a line or in a
 /// point, or along the hinge, and for non-finite numbers.
-fn inverse_inertia<'a>(
-    hinge: Option<DVec3>,
-    of: impl Iterator<Item = (&'a f64, DVec3)>,
-) -> Option<DMat3> {
+fn inverse_inertia<'a>(hinge: Option<DVec3>, of: impl Iterator<Item = (&'a f64, DVec3)>) -> Option<DMat3> {
     let inertia = of.fold(DMat3::ZERO, |sum, (mass, r)| {
         let square = DMat3::from_cols(r.x * r, r.y * r, r.z * r);
         sum + *mass * (r.length_squared() * DMat3::IDENTITY - square)

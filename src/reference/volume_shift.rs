@@ -46,8 +46,6 @@ pub fn volume_shift(
     };
     let shifts: Vec<f64> = (0..volume_0.len()).map(shift).collect();
     let cells = liquid_distance.par_iter_mut().zip(&components.label);
-    cells
-        .filter(|(_, label)| **label > 0)
-        .for_each(|(phi, &label)| *phi -= grid.dx * shifts[label as usize - 1]);
+    cells.filter(|(_, label)| **label > 0).for_each(|(phi, &label)| *phi -= grid.dx * shifts[label as usize - 1]);
     shifts
 }

@@ -28,12 +28,8 @@ pub fn write_back(
             }
             let [minus, plus] = sides.map(|cell| cell.map_or(0.0, |cell| pressure[cell]));
             let theta = match (sides, active) {
-                ([Some(minus), Some(plus)], [true, false]) => {
-                    theta(phi[minus], phi[plus], theta_floor)
-                }
-                ([Some(minus), Some(plus)], [false, true]) => {
-                    theta(phi[plus], phi[minus], theta_floor)
-                }
+                ([Some(minus), Some(plus)], [true, false]) => theta(phi[minus], phi[plus], theta_floor),
+                ([Some(minus), Some(plus)], [false, true]) => theta(phi[plus], phi[minus], theta_floor),
                 ([Some(_), Some(_)], _) => 1.0,
                 _ => THETA_OF_SIDES,
             };

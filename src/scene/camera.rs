@@ -20,9 +20,7 @@ pub(super) fn camera(root: &Table, domain: &Domain, time: &Time) -> Result<Camer
         return Ok(camera);
     };
     let table = place.table(&CAMERA)?;
-    camera.up = table.optional("up", camera.up, |place| {
-        place.direction("the direction that is up in the picture")
-    })?;
+    camera.up = table.optional("up", camera.up, |place| place.direction("the direction that is up in the picture"))?;
     camera.fov = table.optional("fov", camera.fov, field_of_view)?;
     camera.size = table.optional("size", camera.size, |place| {
         place.counts(
@@ -87,11 +85,7 @@ fn field_of_view(place: Place) -> Result<f64, Error> {
 /// Refuses a camera at its target, or one that looks along its up vector; `when` ends the sentence.
 fn ensure_view(place: &Place, pose: &CameraKeyframe, up: DVec3, when: &str) -> Result<(), Error> {
     let ahead = (pose.target - pose.eye).try_normalize();
-    place.ensure(
-        ahead.is_some(),
-        format!("is the target itself{when}"),
-        "move it away from the target",
-    )?;
+    place.ensure(ahead.is_some(), format!("is the target itself{when}"), "move it away from the target")?;
     place.ensure(
         ahead.is_some_and(|ahead| ahead.dot(up).abs() < 1.0 - 1e-9),
         format!("looks along the camera's up{when}"),
@@ -119,9 +113,7 @@ fn path<'a>(place: &Place<'a>, camera: &mut Camera) -> Result<Vec<Place<'a>>, Er
         )?;
         camera.keyframes.push(CameraKeyframe {
             time,
-            eye: table
-                .required("eye", "eye = [3, 2, 4], in m")?
-                .vector(EYE)?,
+            eye: table.required("eye", "eye = [3, 2, 4], in m")?.vector(EYE)?,
             target: table.optional("target", camera.target, |place| place.vector(TARGET))?,
             fov: table.optional("fov", camera.fov, field_of_view)?,
         });
@@ -135,12 +127,7 @@ impl Camera {
     /// Between keyframes: cubic Hermite polynomials with the slope from the previous to the next keyframe (Catmull and Rom 1974),
     /// one-sided at both ends. The field of view is clamped to the range of the keyframes.
     pub fn pose(&self, time: f64) -> CameraKeyframe {
-        let resting = CameraKeyframe {
-            time,
-            eye: self.eye,
-            target: self.target,
-            fov: self.fov,
-        };
+        let resting = CameraKeyframe { time, eye: self.eye, target: self.target, fov: self.fov };
         let path = &self.keyframes;
         let (Some(first), Some(last)) = (path.first(), path.last()) else {
             return resting;
@@ -173,9 +160,7 @@ impl Camera {
             time,
             eye: along(&|keyframe| keyframe.eye),
             target: along(&|keyframe| keyframe.target),
-            fov: along(&|keyframe| DVec3::splat(keyframe.fov))
-                .x
-                .clamp(least, largest),
+            fov: along(&|keyframe| DVec3::splat(keyframe.fov)).x.clamp(least, largest),
         }
     }
 
@@ -184,21 +169,10 @@ impl Camera {
     pub fn looking_at(domain: &Domain) -> Camera {
         let gravity = domain.gravity;
         let largest = gravity.abs().max_position();
-        let up = if gravity == DVec3::ZERO {
-            DVec3::Y
-        } else {
-            DVec3::AXES[largest] * -gravity[largest].signum()
-        };
+        let up = if gravity == DVec3::ZERO { DVec3::Y } else { DVec3::AXES[largest] * -gravity[largest].signum() };
         let target = 0.5 * domain.size;
-        let mut camera = Camera {
-            eye: target,
-            target,
-            up,
-            fov: 35.0,
-            size: [1280, 720],
-            keyframes: Vec::new(),
-            cut: None,
-        };
+        let mut camera =
+            Camera { eye: target, target, up, fov: 35.0, size: [1280, 720], keyframes: Vec::new(), cut: None };
         camera.step_back(domain);
         camera
     }
@@ -206,15 +180,8 @@ impl Camera {
     /// Moves the eye back until all corners of the domain are in the picture, with a margin of 5 %.
     fn step_back(&mut self, domain: &Domain) {
         // From the front: with y up the camera looks along -z, with z up along y.
-        let front = if self.up.z.abs() > 0.5 {
-            -DVec3::Y
-        } else {
-            DVec3::Z
-        };
-        let front = front
-            .reject_from(self.up)
-            .try_normalize()
-            .unwrap_or_else(|| self.up.any_orthonormal_vector());
+        let front = if self.up.z.abs() > 0.5 { -DVec3::Y } else { DVec3::Z };
+        let front = front.reject_from(self.up).try_normalize().unwrap_or_else(|| self.up.any_orthonormal_vector());
         let side = self.up.cross(front);
         let back = (front + 0.5 * side + 0.5 * self.up).normalize();
         let right = self.up.cross(back).normalize();

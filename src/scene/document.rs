@@ -67,15 +67,11 @@ impl Content {
             Content::Boolean(value) => value.to_string(),
             Content::Date => self.describe(),
             Content::Array(items) => {
-                format!(
-                    "[{}]",
-                    list(&mut items.iter().map(|item| item.content.written()))
-                )
+                format!("[{}]", list(&mut items.iter().map(|item| item.content.written())))
             }
             Content::Table(entries) => {
                 let entries = entries.iter();
-                let mut entries =
-                    entries.map(|(name, node)| format!("{name} = {}", node.content.written()));
+                let mut entries = entries.map(|(name, node)| format!("{name} = {}", node.content.written()));
                 format!("{{ {} }}", list(&mut entries))
             }
         }
@@ -117,10 +113,7 @@ impl Node {
         match (step.clone(), &mut self.content) {
             (Step::Key(name), Content::Table(entries)) => {
                 *key = join(key, &name);
-                let table = || Node {
-                    origin,
-                    content: Content::Table(BTreeMap::new()),
-                };
+                let table = || Node { origin, content: Content::Table(BTreeMap::new()) };
                 Ok((entries.entry(name).or_insert_with(table), rest))
             }
             (Step::Key(name), Content::Array(items)) => {
@@ -156,14 +149,10 @@ impl Node {
                 format!("there is no list `{key}`"),
                 "add the entry to the scene file, or set the whole list".to_owned(),
             ]),
-            (Step::Index(i), _) => Err([
-                format!("`{key}` is {described}, not a list"),
-                format!("remove the [{i}]"),
-            ]),
-            (Step::Key(name), _) => Err([
-                format!("`{key}` is {described} and has no key `{name}`"),
-                format!("set `{key}`"),
-            ]),
+            (Step::Index(i), _) => Err([format!("`{key}` is {described}, not a list"), format!("remove the [{i}]")]),
+            (Step::Key(name), _) => {
+                Err([format!("`{key}` is {described} and has no key `{name}`"), format!("set `{key}`")])
+            }
         }
     }
 }
@@ -226,12 +215,8 @@ pub(super) struct Document {
 impl Document {
     /// Parses the text of `file` and applies the overrides.
     pub(super) fn parse(file: &Path, text: &str, overrides: &[String]) -> Result<Document, Error> {
-        let line_of = |offset: usize| {
-            1 + text.as_bytes()[..offset.min(text.len())]
-                .iter()
-                .filter(|&&b| b == b'\n')
-                .count()
-        };
+        let line_of =
+            |offset: usize| 1 + text.as_bytes()[..offset.min(text.len())].iter().filter(|&&b| b == b'\n').count();
         let root = DeTable::parse(text).map_err(|error| Error::Scene {
             file: file.to_owned(),
             line: error.span().map_or(1, |span| line_of(span.start)),
@@ -247,17 +232,13 @@ impl Document {
         let mut document = Document {
             file: file.to_owned(),
             overrides: overrides.to_vec(),
-            root: Node {
-                origin: Origin::Line(last_line),
-                content: Content::Table(BTreeMap::new()),
-            },
+            root: Node { origin: Origin::Line(last_line), content: Content::Table(BTreeMap::new()) },
             removed: Vec::new(),
             exemplar: false,
             queries: RefCell::default(),
             mesh_files: RefCell::default(),
         };
-        document.root.content =
-            document.table(root.into_inner(), "", &|span| Origin::Line(line_of(span)))?;
+        document.root.content = document.table(root.into_inner(), "", &|span| Origin::Line(line_of(span)))?;
         let mut without = Vec::new();
         for (index, setting) in overrides.iter().enumerate() {
             match override_option(setting) {
@@ -268,9 +249,8 @@ impl Document {
         if !without.is_empty() {
             let keys: Vec<&str> = without.iter().map(|&(_, key)| key).collect();
             let removed = remove(&mut document.root, &keys);
-            document.removed = removed.map_err(|(number, [problem, cure])| {
-                Error::input(option(without[number].0), problem, cure)
-            })?;
+            document.removed =
+                removed.map_err(|(number, [problem, cure])| Error::input(option(without[number].0), problem, cure))?;
         }
         Ok(document)
     }
@@ -288,10 +268,7 @@ impl Document {
     }
 
     pub(super) fn exemplar(text: &str) -> Result<Document, Error> {
-        Ok(Document {
-            exemplar: true,
-            ..Document::parse(Path::new("exemplar.toml"), text, &[])?
-        })
+        Ok(Document { exemplar: true, ..Document::parse(Path::new("exemplar.toml"), text, &[])? })
     }
 
     pub(super) fn is_exemplar(&self) -> bool {
@@ -310,19 +287,10 @@ impl Document {
     }
 
     pub(super) fn root(&self) -> Place<'_> {
-        Place {
-            document: self,
-            key: String::new(),
-            node: &self.root,
-        }
+        Place { document: self, key: String::new(), node: &self.root }
     }
 
-    fn table(
-        &self,
-        table: DeTable<'_>,
-        key: &str,
-        origin: &dyn Fn(usize) -> Origin,
-    ) -> Result<Content, Error> {
+    fn table(&self, table: DeTable<'_>, key: &str, origin: &dyn Fn(usize) -> Origin) -> Result<Content, Error> {
         let mut entries = BTreeMap::new();
         for (name, value) in table {
             let name = name.into_inner().into_owned();
@@ -332,33 +300,21 @@ impl Document {
         Ok(Content::Table(entries))
     }
 
-    fn node(
-        &self,
-        value: Spanned<DeValue<'_>>,
-        key: &str,
-        origin: &dyn Fn(usize) -> Origin,
-    ) -> Result<Node, Error> {
+    fn node(&self, value: Spanned<DeValue<'_>>, key: &str, origin: &dyn Fn(usize) -> Origin) -> Result<Node, Error> {
         let place = origin(value.span().start);
         let content = match value.into_inner() {
             DeValue::String(text) => Content::Text(text.into_owned()),
-            DeValue::Integer(number) => {
-                match i64::from_str_radix(number.as_str(), number.radix()) {
-                    Ok(number) => Content::Integer(number),
-                    Err(_) => {
-                        let problem = format!("{number} lies beyond +-2^63");
-                        return Err(self.fail(place, key, problem, "write a smaller number"));
-                    }
+            DeValue::Integer(number) => match i64::from_str_radix(number.as_str(), number.radix()) {
+                Ok(number) => Content::Integer(number),
+                Err(_) => {
+                    let problem = format!("{number} lies beyond +-2^63");
+                    return Err(self.fail(place, key, problem, "write a smaller number"));
                 }
-            }
+            },
             DeValue::Float(number) => match number.as_str().parse() {
                 Ok(number) => Content::Float(number),
                 Err(_) => {
-                    return Err(self.fail(
-                        place,
-                        key,
-                        format!("{number} is not a number"),
-                        "write a number",
-                    ));
+                    return Err(self.fail(place, key, format!("{number} is not a number"), "write a number"));
                 }
             },
             DeValue::Boolean(value) => Content::Boolean(value),
@@ -366,35 +322,22 @@ impl Document {
             DeValue::Array(items) => {
                 let items = items.into_iter().enumerate();
                 Content::Array(
-                    items
-                        .map(|(i, item)| self.node(item, &format!("{key}[{i}]"), origin))
-                        .collect::<Result<_, _>>()?,
+                    items.map(|(i, item)| self.node(item, &format!("{key}[{i}]"), origin)).collect::<Result<_, _>>()?,
                 )
             }
             DeValue::Table(table) => self.table(table, key, origin)?,
         };
-        Ok(Node {
-            origin: place,
-            content,
-        })
+        Ok(Node { origin: place, content })
     }
 
     /// Stores the value of one `--set KEY=VALUE` in the tree; creates missing tables.
     fn apply_override(&mut self, index: usize) -> Result<(), Error> {
         let origin = Origin::Set(index);
         let setting = self.overrides[index].clone();
-        let refuse = |problem: String, cure: String| {
-            Err(Error::Input {
-                what: format!("--set {setting}"),
-                problem,
-                cure,
-            })
-        };
+        let refuse =
+            |problem: String, cure: String| Err(Error::Input { what: format!("--set {setting}"), problem, cure });
         let Some((path, text)) = setting.split_once('=') else {
-            return refuse(
-                "has no `=`".into(),
-                "write --set KEY=VALUE, such as --set liquid.density=800".into(),
-            );
+            return refuse("has no `=`".into(), "write --set KEY=VALUE, such as --set liquid.density=800".into());
         };
         let Some(steps) = parse_path(path.trim()) else {
             let cure = "write dotted keys, with indices from 0 for lists, such as liquid.region[0].velocity";
@@ -404,24 +347,12 @@ impl Document {
         let value = match DeValue::parse(text) {
             Ok(value) => self.node(value, path.trim(), &|_| origin)?,
             // Shells strip quotes, so a bare word is a text.
-            Err(_)
-                if !text.is_empty()
-                    && !text.contains(|c: char| c.is_whitespace() || "[]{}\"'=,#".contains(c)) =>
-            {
-                Node {
-                    origin,
-                    content: Content::Text(text.to_owned()),
-                }
+            Err(_) if !text.is_empty() && !text.contains(|c: char| c.is_whitespace() || "[]{}\"'=,#".contains(c)) => {
+                Node { origin, content: Content::Text(text.to_owned()) }
             }
             Err(error) => {
                 let cure = "write the value as in the scene file, in single quotes to keep it from the shell";
-                return refuse(
-                    format!(
-                        "`{text}` is not a TOML value: {}",
-                        one_line(error.message())
-                    ),
-                    cure.into(),
-                );
+                return refuse(format!("`{text}` is not a TOML value: {}", one_line(error.message())), cure.into());
             }
         };
         let mut node = &mut self.root;
@@ -437,27 +368,13 @@ impl Document {
         Ok(())
     }
 
-    fn fail(
-        &self,
-        origin: Origin,
-        key: &str,
-        problem: impl Into<String>,
-        cure: impl Into<String>,
-    ) -> Error {
+    fn fail(&self, origin: Origin, key: &str, problem: impl Into<String>, cure: impl Into<String>) -> Error {
         let (problem, cure) = (problem.into(), cure.into());
         match origin {
-            Origin::Line(line) => Error::Scene {
-                file: self.file.clone(),
-                line,
-                key: key.to_owned(),
-                problem,
-                cure,
-            },
-            Origin::Set(index) => Error::Input {
-                what: option(&self.overrides[index]),
-                problem: format!("{key}: {problem}"),
-                cure,
-            },
+            Origin::Line(line) => Error::Scene { file: self.file.clone(), line, key: key.to_owned(), problem, cure },
+            Origin::Set(index) => {
+                Error::Input { what: option(&self.overrides[index]), problem: format!("{key}: {problem}"), cure }
+            }
         }
     }
 }
@@ -478,11 +395,7 @@ fn parse_path(path: &str) -> Option<Vec<Step>> {
     let mut steps = Vec::new();
     for part in path.split('.') {
         let (name, mut indices) = part.split_at(part.find('[').unwrap_or(part.len()));
-        if name.is_empty()
-            || !name
-                .chars()
-                .all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
-        {
+        if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
             return None;
         }
         steps.push(Step::Key(name.to_owned()));
@@ -500,11 +413,7 @@ fn parse_path(path: &str) -> Option<Vec<Step>> {
 
 /// Dotted key of an entry of a table.
 pub(super) fn join(key: &str, name: &str) -> String {
-    if key.is_empty() {
-        name.to_owned()
-    } else {
-        format!("{key}.{name}")
-    }
+    if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") }
 }
 
 /// A number without a row of zeros.
@@ -516,11 +425,7 @@ fn short(value: f64) -> String {
 }
 
 fn one_line(message: &str) -> String {
-    message
-        .lines()
-        .map(str::trim)
-        .collect::<Vec<_>>()
-        .join(", ")
+    message.lines().map(str::trim).collect::<Vec<_>>().join(", ")
 }
 
 pub(super) struct Keys {
@@ -545,22 +450,12 @@ pub(super) struct Place<'a> {
 
 impl<'a> Place<'a> {
     pub(super) fn fail(&self, problem: impl Into<String>, cure: impl Into<String>) -> Error {
-        self.document
-            .fail(self.node.origin, &self.key, problem, cure)
+        self.document.fail(self.node.origin, &self.key, problem, cure)
     }
 
     /// An error at this value unless `ok`.
-    pub(super) fn ensure(
-        &self,
-        ok: bool,
-        problem: impl Into<String>,
-        cure: impl Into<String>,
-    ) -> Result<(), Error> {
-        if ok {
-            Ok(())
-        } else {
-            Err(self.fail(problem, cure))
-        }
+    pub(super) fn ensure(&self, ok: bool, problem: impl Into<String>, cure: impl Into<String>) -> Result<(), Error> {
+        if ok { Ok(()) } else { Err(self.fail(problem, cure)) }
     }
 
     pub(super) fn is_exemplar(&self) -> bool {
@@ -570,9 +465,7 @@ impl<'a> Place<'a> {
     /// The mesh file with this path: one per scene, so that it is parsed once.
     pub(super) fn mesh_file(&self, path: PathBuf) -> MeshFile {
         let mut files = self.document.mesh_files.borrow_mut();
-        let file = files
-            .entry(path)
-            .or_insert_with_key(|path| path.clone().into());
+        let file = files.entry(path).or_insert_with_key(|path| path.clone().into());
         file.clone()
     }
 
@@ -605,10 +498,7 @@ impl<'a> Place<'a> {
     }
 
     pub(super) fn wrong_type(&self, expected: &str) -> Error {
-        self.fail(
-            format!("is {}", self.node.content.describe()),
-            format!("write {expected}"),
-        )
+        self.fail(format!("is {}", self.node.content.describe()), format!("write {expected}"))
     }
 
     /// A finite number. `what` is its name with the unit, such as `a density in kg/m^3`.
@@ -618,29 +508,18 @@ impl<'a> Place<'a> {
             Content::Integer(value) => *value as f64,
             Content::Float(value) => *value,
             Content::Text(text) if text.trim().parse::<f64>().is_ok() => {
-                return Err(self.fail(
-                    format!("is the text \"{text}\""),
-                    format!("write {what} without quotes"),
-                ));
+                return Err(self.fail(format!("is the text \"{text}\""), format!("write {what} without quotes")));
             }
             _ => return Err(self.wrong_type(&format!("{what} as one number"))),
         };
-        self.ensure(
-            value.is_finite(),
-            format!("is {value}"),
-            format!("write {what} as a finite number"),
-        )?;
+        self.ensure(value.is_finite(), format!("is {value}"), format!("write {what} as a finite number"))?;
         Ok(value)
     }
 
     pub(super) fn positive(&self, what: &str) -> Result<f64, Error> {
         self.record(Query::Positive);
         let value = self.number(what)?;
-        self.ensure(
-            value > 0.0,
-            format!("is {value}"),
-            format!("write {what} above zero"),
-        )?;
+        self.ensure(value > 0.0, format!("is {value}"), format!("write {what} above zero"))?;
         Ok(value)
     }
 
@@ -672,26 +551,15 @@ impl<'a> Place<'a> {
         let Content::Array(items) = &self.node.content else {
             return Err(self.wrong_type(&format!("{what} as a list of {N} numbers")));
         };
-        let places: Vec<_> = items
-            .iter()
-            .enumerate()
-            .map(|(i, node)| self.item(i, node))
-            .collect();
+        let places: Vec<_> = items.iter().enumerate().map(|(i, node)| self.item(i, node)).collect();
         let n = places.len();
-        places.try_into().map_err(|_| {
-            self.fail(
-                format!("is a list of {n}"),
-                format!("write {what} as a list of {N} numbers"),
-            )
-        })
+        places
+            .try_into()
+            .map_err(|_| self.fail(format!("is a list of {n}"), format!("write {what} as a list of {N} numbers")))
     }
 
     fn item(&self, i: usize, node: &'a Node) -> Place<'a> {
-        Place {
-            document: self.document,
-            key: format!("{}[{i}]", self.key),
-            node,
-        }
+        Place { document: self.document, key: format!("{}[{i}]", self.key), node }
     }
 
     pub(super) fn numbers<const N: usize>(&self, what: &str) -> Result<[f64; N], Error> {
@@ -721,10 +589,7 @@ impl<'a> Place<'a> {
         let vector = self.vector(what)?;
         vector.try_normalize().ok_or_else(|| {
             let [x, y, z] = vector.to_array();
-            self.fail(
-                format!("is [{x}, {y}, {z}], which has no direction"),
-                format!("write {what}, such as [0, 1, 0]"),
-            )
+            self.fail(format!("is [{x}, {y}, {z}], which has no direction"), format!("write {what}, such as [0, 1, 0]"))
         })
     }
 
@@ -742,12 +607,7 @@ impl<'a> Place<'a> {
     }
 
     /// A list of `N` whole numbers from `min` to `max`.
-    pub(super) fn counts<const N: usize>(
-        &self,
-        what: &str,
-        min: u64,
-        max: u64,
-    ) -> Result<[usize; N], Error> {
+    pub(super) fn counts<const N: usize>(&self, what: &str, min: u64, max: u64) -> Result<[usize; N], Error> {
         self.record(Query::Counts(N, min, max, what.to_owned()));
         let mut values = [0; N];
         for (value, place) in values.iter_mut().zip(self.items::<N>(what)?) {
@@ -767,9 +627,7 @@ impl<'a> Place<'a> {
     pub(super) fn text(&self, what: &str) -> Result<&'a str, Error> {
         self.record(Query::Text(what.to_owned()));
         match &self.node.content {
-            Content::Text(text) if text.is_empty() => {
-                Err(self.fail("is empty", format!("write {what}")))
-            }
+            Content::Text(text) if text.is_empty() => Err(self.fail("is empty", format!("write {what}"))),
             Content::Text(text) => Ok(text),
             _ => Err(self.wrong_type(&format!("{what} in quotes"))),
         }
@@ -789,10 +647,7 @@ impl<'a> Place<'a> {
     }
 
     fn one_word<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, Error> {
-        let words: Vec<_> = choices
-            .iter()
-            .map(|(word, _)| format!("\"{word}\""))
-            .collect();
+        let words: Vec<_> = choices.iter().map(|(word, _)| format!("\"{word}\"")).collect();
         let expected = format!("one of {}", words.join(", "));
         match &self.node.content {
             Content::Text(text) => match choices.iter().find(|(word, _)| word == text) {
@@ -809,35 +664,25 @@ impl<'a> Place<'a> {
         self.record(Query::Table(valid.collect()));
         let Content::Table(entries) = &self.node.content else {
             return Err(match &self.node.content {
-                Content::Array(_) => self.fail(
-                    "is a list",
-                    format!("write one table: [{}] with single brackets", self.key),
-                ),
+                Content::Array(_) => {
+                    self.fail("is a list", format!("write one table: [{}] with single brackets", self.key))
+                }
                 Content::Text(name) if keys.valid.contains(&"file") => {
                     self.wrong_type(&format!("{{ file = {name:?} }}"))
                 }
                 _ => self.wrong_type(&format!("a table with the keys {}", keys.valid.join(", "))),
             });
         };
-        let unknown = entries
-            .iter()
-            .filter(|(name, _)| !keys.valid.contains(&name.as_str()));
+        let unknown = entries.iter().filter(|(name, _)| !keys.valid.contains(&name.as_str()));
         let first = unknown.min_by_key(|(_, node)| match node.origin {
             Origin::Line(line) => (0, line),
             Origin::Set(index) => (1, index),
         });
         if let Some((name, node)) = first {
-            let place = Place {
-                document: self.document,
-                key: join(&self.key, name),
-                node,
-            };
+            let place = Place { document: self.document, key: join(&self.key, name), node };
             return Err(place.unknown_key(name, keys));
         }
-        Ok(Table {
-            place: self,
-            entries,
-        })
+        Ok(Table { place: self, entries })
     }
 
     fn unknown_key(&self, name: &str, keys: &Keys) -> Error {
@@ -854,9 +699,7 @@ impl<'a> Place<'a> {
             None => suggestion(name, keys.valid),
         };
         let cure = match (suggestion, nearest) {
-            (Some(Suggestion::Absent(reason)), nearest)
-                if absent.is_some() || nearest.is_none() =>
-            {
+            (Some(Suggestion::Absent(reason)), nearest) if absent.is_some() || nearest.is_none() => {
                 return self.fail(format!("is no key: {reason}"), format!("remove `{name}`"));
             }
             (Some(Suggestion::Write(instead)), _) => format!("write {instead}; {list}"),
@@ -872,15 +715,10 @@ impl<'a> Place<'a> {
     pub(super) fn list(&self) -> Result<Vec<Place<'a>>, Error> {
         self.record(Query::List);
         match &self.node.content {
-            Content::Array(items) => Ok(items
-                .iter()
-                .enumerate()
-                .map(|(i, node)| self.item(i, node))
-                .collect()),
-            Content::Table(_) => Err(self.fail(
-                "is one table, not a list",
-                format!("write [[{}]] with double brackets", self.key),
-            )),
+            Content::Array(items) => Ok(items.iter().enumerate().map(|(i, node)| self.item(i, node)).collect()),
+            Content::Table(_) => {
+                Err(self.fail("is one table, not a list", format!("write [[{}]] with double brackets", self.key)))
+            }
             _ => Err(self.wrong_type(&format!("a list: [[{}]] before each entry", self.key))),
         }
     }
@@ -896,11 +734,7 @@ pub(super) struct Table<'a> {
 impl<'a> Table<'a> {
     pub(super) fn get(&self, name: &str) -> Option<Place<'a>> {
         let node = self.entries.get(name)?;
-        Some(Place {
-            document: self.place.document,
-            key: join(&self.place.key, name),
-            node,
-        })
+        Some(Place { document: self.place.document, key: join(&self.place.key, name), node })
     }
 
     /// The value that `read` returns for a key, or `default` for an absent key.
@@ -918,36 +752,21 @@ impl<'a> Table<'a> {
         self.place.record(Query::Required(name.to_owned()));
         self.get(name).ok_or_else(|| {
             let key = join(&self.place.key, name);
-            self.place.document.fail(
-                self.place.node.origin,
-                &key,
-                "is missing",
-                format!("write {example}"),
-            )
+            self.place.document.fail(self.place.node.origin, &key, "is missing", format!("write {example}"))
         })
     }
 
     /// The present one of several alternative keys, with its value.
-    pub(super) fn one_of<'k>(
-        &self,
-        names: &[&'k str],
-        what: &str,
-    ) -> Result<(&'k str, Place<'a>), Error> {
+    pub(super) fn one_of<'k>(&self, names: &[&'k str], what: &str) -> Result<(&'k str, Place<'a>), Error> {
         let all = names.iter().map(|&name| name.to_owned());
         self.place.record(Query::OneOf(all.collect()));
-        let mut present = names
-            .iter()
-            .filter_map(|&name| Some((name, self.get(name)?)));
+        let mut present = names.iter().filter_map(|&name| Some((name, self.get(name)?)));
         match (present.next(), present.next()) {
             (Some(one), None) => Ok(one),
-            (None, _) => Err(self.fail(
-                format!("has no {what}"),
-                format!("add one of {}", names.join(", ")),
-            )),
-            (Some((first, _)), Some((second, _))) => Err(self.fail(
-                format!("has `{first}` and `{second}`"),
-                format!("keep one {what}"),
-            )),
+            (None, _) => Err(self.fail(format!("has no {what}"), format!("add one of {}", names.join(", ")))),
+            (Some((first, _)), Some((second, _))) => {
+                Err(self.fail(format!("has `{first}` and `{second}`"), format!("keep one {what}")))
+            }
         }
     }
 

@@ -34,9 +34,7 @@ fn merge_values(old: &mut Value, new: &Value) {
         (Value::Table(old), Value::Table(new)) => merge(old, new),
         (Value::Array(old), Value::Array(new)) if new.iter().all(Value::is_table) => {
             let kept = old.len().min(new.len());
-            old.iter_mut()
-                .zip(new)
-                .for_each(|(old, new)| merge_values(old, new));
+            old.iter_mut().zip(new).for_each(|(old, new)| merge_values(old, new));
             old.extend_from_slice(&new[kept..]);
         }
         (old, new) => *old = new.clone(),

@@ -29,9 +29,7 @@ impl MeshFile {
                 Arc::clone(self.contents.get_or_init(|| parsed))
             }
         };
-        Ok(contents
-            .downcast()
-            .expect("a mesh file has one kind of contents"))
+        Ok(contents.downcast().expect("a mesh file has one kind of contents"))
     }
 }
 

@@ -113,10 +113,7 @@ impl VectorKeyframe {
         let last = keyframes.len() - 1;
         let [a, b] = [after.saturating_sub(1), after.min(last)].map(|frame| keyframes[frame]);
         match b.time > a.time {
-            true => a.value.lerp(
-                b.value,
-                ((time - a.time) / (b.time - a.time)).clamp(0.0, 1.0),
-            ),
+            true => a.value.lerp(b.value, ((time - a.time) / (b.time - a.time)).clamp(0.0, 1.0)),
             false => a.value,
         }
     }
@@ -154,9 +151,7 @@ impl Domain {
             return self.gravity.length();
         }
         // The magnitude of a linear function is largest at an end.
-        let within = keyframes
-            .iter()
-            .filter(|frame| (from..=to).contains(&frame.time));
+        let within = keyframes.iter().filter(|frame| (from..=to).contains(&frame.time));
         let ends = [from, to].map(|time| VectorKeyframe::at(keyframes, time));
         let all = within.map(|frame| frame.value).chain(ends);
         all.map(DVec3::length).fold(0.0, f64::max)
@@ -333,12 +328,7 @@ pub struct Placement {
 impl Default for Placement {
     /// The identity.
     fn default() -> Placement {
-        Placement {
-            translate: DVec3::ZERO,
-            rotate: DMat3::IDENTITY,
-            scale: 1.0,
-            at: None,
-        }
+        Placement { translate: DVec3::ZERO, rotate: DMat3::IDENTITY, scale: 1.0, at: None }
     }
 }
 
@@ -346,23 +336,14 @@ impl Placement {
     /// The same placement of a shape with this centre (m), with `at` converted to a translation.
     pub fn about(self, centre: DVec3) -> Placement {
         match self.at {
-            Some(at) => Placement {
-                translate: at - centre,
-                at: None,
-                ..self
-            },
+            Some(at) => Placement { translate: at - centre, at: None, ..self },
             None => self,
         }
     }
 
     /// Whether it is the identity.
     pub fn is_none(&self) -> bool {
-        let Placement {
-            translate,
-            rotate,
-            scale,
-            at,
-        } = *self;
+        let Placement { translate, rotate, scale, at } = *self;
         translate == DVec3::ZERO && rotate == DMat3::IDENTITY && scale == 1.0 && at.is_none()
     }
 
@@ -473,12 +454,7 @@ pub struct Initial {
 impl Default for Initial {
     /// At rest.
     fn default() -> Initial {
-        Initial {
-            scale: DVec3::ONE,
-            velocity: DVec3::ZERO,
-            spin: DVec3::ZERO,
-            velocity_gradient: [DVec3::ZERO; 3],
-        }
+        Initial { scale: DVec3::ONE, velocity: DVec3::ZERO, spin: DVec3::ZERO, velocity_gradient: [DVec3::ZERO; 3] }
     }
 }
 
@@ -535,15 +511,8 @@ impl Keyframe {
         let last = keyframes.len() - 1;
         let [a, b] = [after.saturating_sub(1), after.min(last)].map(|frame| &keyframes[frame]);
         let rotation = |frame: &Keyframe| frame.angle * frame.axis;
-        let share = if b.time > a.time {
-            (time - a.time) / (b.time - a.time)
-        } else {
-            0.0
-        };
-        (
-            rotation(a).lerp(rotation(b), share),
-            a.translate.lerp(b.translate, share),
-        )
+        let share = if b.time > a.time { (time - a.time) / (b.time - a.time) } else { 0.0 };
+        (rotation(a).lerp(rotation(b), share), a.translate.lerp(b.translate, share))
     }
 
     /// Largest speed between a time and `span` (both s) later, m/s, of points within `radius` (m) of the centre of rotation.
@@ -697,9 +666,9 @@ impl Probe {
             ProbeKind::Height { .. } | ProbeKind::Front { .. } => &["m"],
             ProbeKind::Pressure { .. } => &["Pa"],
             ProbeKind::Flux { .. } => &["m^3/s"],
-            ProbeKind::Velocity { .. }
-            | ProbeKind::SolidVelocity { .. }
-            | ProbeKind::Node { velocity: true, .. } => &["m/s"; 3],
+            ProbeKind::Velocity { .. } | ProbeKind::SolidVelocity { .. } | ProbeKind::Node { velocity: true, .. } => {
+                &["m/s"; 3]
+            }
             ProbeKind::Node { .. } => &["m"; 3],
             ProbeKind::Force { .. } | ProbeKind::Reaction { .. } => &["N"; 3],
             ProbeKind::Solid { .. } => &["m", "m", "m", "over that at rest"],
@@ -720,16 +689,10 @@ impl Up {
     /// The upward direction for a gravity.
     pub fn against(gravity: DVec3) -> Up {
         match gravity == DVec3::ZERO {
-            true => Up {
-                axis: 1,
-                falling: false,
-            },
+            true => Up { axis: 1, falling: false },
             false => {
                 let axis = gravity.abs().max_position();
-                Up {
-                    axis,
-                    falling: gravity[axis] > 0.0,
-                }
+                Up { axis, falling: gravity[axis] > 0.0 }
             }
         }
     }
@@ -834,9 +797,7 @@ impl ProbeKind {
     pub fn needs_node_velocity(&self) -> bool {
         matches!(
             self,
-            ProbeKind::Node { velocity: true, .. }
-                | ProbeKind::SolidVelocity { .. }
-                | ProbeKind::Reaction { .. }
+            ProbeKind::Node { velocity: true, .. } | ProbeKind::SolidVelocity { .. } | ProbeKind::Reaction { .. }
         )
     }
 
@@ -1067,23 +1028,16 @@ impl Scene {
 
     /// The grid of the scene.
     pub fn grid(&self) -> Grid {
-        Grid {
-            cells: self.domain.cells,
-            dx: self.domain.size.x / self.domain.cells[0] as f64,
-        }
+        Grid { cells: self.domain.cells, dx: self.domain.size.x / self.domain.cells[0] as f64 }
     }
 
     /// Whether an obstacle has keyframes.
     pub fn obstacles_move(&self) -> bool {
-        self.obstacles
-            .iter()
-            .any(|obstacle| obstacle.motion.is_some())
+        self.obstacles.iter().any(|obstacle| obstacle.motion.is_some())
     }
 
     /// Number of frames, without frame 0, the initial state.
     pub fn n_frames(&self) -> u64 {
-        (self.time.duration * self.time.frames_per_second)
-            .round()
-            .max(1.0) as u64
+        (self.time.duration * self.time.frames_per_second).round().max(1.0) as u64
     }
 }

@@ -31,14 +31,8 @@ pub(super) const LIQUID_MEASUREMENTS: &[&str] = MEASUREMENTS.split_at(5).0;
 /// The measurement of liquid and solids.
 pub(super) const FORCE_MEASUREMENT: &str = "force";
 /// Values of `front.axis`: the axis, and whether it is the smallest coordinate.
-const FRONT_AXES: [(&str, (usize, bool)); 6] = [
-    ("x", (0, false)),
-    ("y", (1, false)),
-    ("z", (2, false)),
-    ("-x", (0, true)),
-    ("-y", (1, true)),
-    ("-z", (2, true)),
-];
+const FRONT_AXES: [(&str, (usize, bool)); 6] =
+    [("x", (0, false)), ("y", (1, false)), ("z", (2, false)), ("-x", (0, true)), ("-y", (1, true)), ("-z", (2, true))];
 const FLUX: Keys = Keys::new(&["min", "max"]);
 const HEIGHT: Keys = Keys::new(&["x", "y", "z"]);
 const POINT: Keys = Keys::new(&["point"]);
@@ -69,14 +63,10 @@ pub(super) fn probes(
         let name = name_place.text("the name of a column in probes.csv")?;
         let earlier = probes.iter().map(|probe| probe.name.as_str());
         unique_name(&name_place, name, "probe", earlier)?;
-        let probe = Probe {
-            name: name.to_owned(),
-            kind: measurement(&table, file, domain, has_liquid, solids)?,
-        };
+        let probe = Probe { name: name.to_owned(), kind: measurement(&table, file, domain, has_liquid, solids)? };
         for column in probe.columns() {
             if let Some(owner) = owners.get(&column) {
-                let problem =
-                    format!("needs column \"{column}\" of probes.csv, the column of {owner}");
+                let problem = format!("needs column \"{column}\" of probes.csv, the column of {owner}");
                 return Err(name_place.fail(problem, "choose another name"));
             }
             owners.insert(column, format!("probe \"{name}\""));
@@ -108,12 +98,8 @@ fn measurement(
     }
     Ok(match kind {
         "height" => height(place, domain)?,
-        "pressure" => ProbeKind::Pressure {
-            point: point(place, domain)?,
-        },
-        "velocity" => ProbeKind::Velocity {
-            point: point(place, domain)?,
-        },
+        "pressure" => ProbeKind::Pressure { point: point(place, domain)? },
+        "velocity" => ProbeKind::Velocity { point: point(place, domain)? },
         "front" => {
             let table = place.table(&FRONT)?;
             let axis = table.required("axis", "axis = \"x\"")?;
@@ -133,23 +119,14 @@ fn measurement(
                 velocity: kind == "node_velocity",
             }
         }
-        "solid_velocity" => ProbeKind::SolidVelocity {
-            solid: solid_named(&place.table(&SOLID)?, "name", solids)?,
-        },
+        "solid_velocity" => ProbeKind::SolidVelocity { solid: solid_named(&place.table(&SOLID)?, "name", solids)? },
         "reaction" => {
             let table = place.table(&REACTION)?;
             let region = table.get("region").map(|_| node_region(&table, file));
-            ProbeKind::Reaction {
-                solid: solid_named(&table, "solid", solids)?,
-                region: region.transpose()?,
-            }
+            ProbeKind::Reaction { solid: solid_named(&table, "solid", solids)?, region: region.transpose()? }
         }
-        FORCE_MEASUREMENT => ProbeKind::Force {
-            solid: solid_named(&place.table(&FORCE)?, "solid", solids)?,
-        },
-        _ => ProbeKind::Solid {
-            solid: solid_named(&place.table(&SOLID)?, "name", solids)?,
-        },
+        FORCE_MEASUREMENT => ProbeKind::Force { solid: solid_named(&place.table(&FORCE)?, "solid", solids)? },
+        _ => ProbeKind::Solid { solid: solid_named(&place.table(&SOLID)?, "name", solids)? },
     })
 }
 
@@ -185,14 +162,8 @@ fn height(place: Place, domain: &Domain) -> Result<ProbeKind, Error> {
 
 /// Index of the solid that a key names.
 fn solid_named(table: &Table, key: &str, solids: &[Solid]) -> Result<usize, Error> {
-    let place = table.required(
-        key,
-        &format!("{key} = \"{}\", the name of a solid", solids[0].name),
-    )?;
-    let names: Vec<(&str, usize)> = (0..)
-        .zip(solids)
-        .map(|(index, solid)| (solid.name.as_str(), index))
-        .collect();
+    let place = table.required(key, &format!("{key} = \"{}\", the name of a solid", solids[0].name))?;
+    let names: Vec<(&str, usize)> = (0..).zip(solids).map(|(index, solid)| (solid.name.as_str(), index)).collect();
     place.named("the name of a solid", &names)
 }
 
@@ -208,11 +179,7 @@ fn flux(place: Place, domain: &Domain) -> Result<ProbeKind, Error> {
     let mut flat = (0..3).filter(|&axis| min[axis] == max[axis]);
     let (axis, others) = (flat.next(), flat.next());
     let Some(axis) = axis.filter(|_| others.is_none() && min.cmple(max).all()) else {
-        let problem = format!(
-            "{} to {} is no rectangle along two axes",
-            list(min.to_array()),
-            list(max.to_array())
-        );
+        let problem = format!("{} to {} is no rectangle along two axes", list(min.to_array()), list(max.to_array()));
         let cure = "use one equal coordinate, and smaller ones in min for the two others: min = [0.5, 0, 0], max = [0.5, 1, 1]";
         return Err(place.fail(problem, cure));
     };
@@ -229,13 +196,6 @@ fn point_inside(place: &Place, domain: &Domain) -> Result<DVec3, Error> {
     let point = place.vector("a point in m")?;
     let inside = point.cmpge(DVec3::ZERO).all() && point.cmple(domain.size).all();
     let problem = format!("{} lies outside the domain", list(point.to_array()));
-    place.ensure(
-        inside,
-        problem,
-        format!(
-            "stay between the origin and {}",
-            list(domain.size.to_array())
-        ),
-    )?;
+    place.ensure(inside, problem, format!("stay between the origin and {}", list(domain.size.to_array())))?;
     Ok(point)
 }

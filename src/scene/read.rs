@@ -16,9 +16,8 @@ use super::solid::solids;
 use super::sources_sinks::{sinks, sources};
 use super::surface::surface;
 use super::{
-    CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output,
-    PatchPressure, Precision, Preconditioner, Region, SHORTEST_STEP, Scene, Separation, Shape,
-    Solid, Solver, Surface, Time,
+    CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output, PatchPressure, Precision,
+    Preconditioner, Region, SHORTEST_STEP, Scene, Separation, Shape, Solid, Solver, Surface, Time,
 };
 use crate::error::Error;
 use crate::grid::{Axis, Sides};
@@ -50,43 +49,14 @@ pub const MAX_FRAMES: u64 = 999_999;
 const WHOLE_STEPS: f64 = 1e-6;
 
 const ROOT: Keys = Keys::new(&[
-    "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver", "output",
-    "camera", "surface",
+    "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver", "output", "camera", "surface",
 ]);
-const DOMAIN: Keys = Keys::new(&[
-    "size",
-    "cells",
-    "gravity",
-    "gravity_keyframes",
-    "open",
-    "slab",
-]);
+const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "gravity_keyframes", "open", "slab"]);
 const GRAVITY_KEYFRAME: Keys = Keys::new(&["t", "gravity"]);
-const TIME: Keys = Keys::new(&[
-    "duration",
-    "frames_per_second",
-    "cfl",
-    "max_step",
-    "fixed_step",
-]);
-const LIQUID: Keys = Keys::new(&[
-    "density",
-    "surface",
-    "marker_radius",
-    "seed",
-    "volume_control",
-    "separation",
-    "region",
-]);
-const REGION_SHAPES: [&str; 7] = [
-    "box",
-    "sphere",
-    "cylinder",
-    "half_space",
-    "mesh",
-    "wave",
-    "solitary",
-];
+const TIME: Keys = Keys::new(&["duration", "frames_per_second", "cfl", "max_step", "fixed_step"]);
+const LIQUID: Keys =
+    Keys::new(&["density", "surface", "marker_radius", "seed", "volume_control", "separation", "region"]);
+const REGION_SHAPES: [&str; 7] = ["box", "sphere", "cylinder", "half_space", "mesh", "wave", "solitary"];
 const REGION: Keys = Keys::new(&[
     "box",
     "sphere",
@@ -100,16 +70,8 @@ const REGION: Keys = Keys::new(&[
     "velocity",
 ]);
 const OBSTACLE_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "mesh"];
-const OBSTACLE: Keys = Keys::new(&[
-    "box",
-    "sphere",
-    "cylinder",
-    "mesh",
-    "placement",
-    "inside_out",
-    "keyframes",
-    "pivot",
-]);
+const OBSTACLE: Keys =
+    Keys::new(&["box", "sphere", "cylinder", "mesh", "placement", "inside_out", "keyframes", "pivot"]);
 const SOLVER: Keys = Keys {
     valid: &[
         "tolerance",
@@ -126,20 +88,10 @@ const SOLVER: Keys = Keys {
     ],
     absent: &[
         ("sigma", "the two-field form halves the masses"),
-        (
-            "alpha",
-            "residuals of pressures and of velocities are tested separately, without a weight",
-        ),
+        ("alpha", "residuals of pressures and of velocities are tested separately, without a weight"),
     ],
 };
-const OUTPUT: Keys = Keys::new(&[
-    "particles",
-    "fields",
-    "solids",
-    "surface",
-    "every",
-    "checkpoint_every",
-]);
+const OUTPUT: Keys = Keys::new(&["particles", "fields", "solids", "surface", "every", "checkpoint_every"]);
 
 impl Scene {
     /// Reads and checks a scene file.
@@ -152,12 +104,7 @@ impl Scene {
     }
 
     /// Reads and checks the text of a scene file; its mesh files are relative to the folder of `path`.
-    pub fn parse(
-        path: &Path,
-        text: &str,
-        overrides: &[String],
-        scale: f64,
-    ) -> Result<Scene, Error> {
+    pub fn parse(path: &Path, text: &str, overrides: &[String], scale: f64) -> Result<Scene, Error> {
         if !(scale.is_finite() && scale > 0.0) {
             return Err(Error::input(
                 format!("--scale {scale}"),
@@ -201,22 +148,13 @@ impl Scene {
             removed: document.removed().to_vec(),
             scale,
             overrides: overrides.to_vec(),
-            solver: solver(
-                &root,
-                liquid.as_ref().map(|liquid| liquid.surface),
-                !solids.is_empty(),
-            )?,
+            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty())?,
             obstacles,
             sources: sources(&root, path, &domain, liquid.as_ref())?,
             sinks: sinks(&root, path, &domain, liquid.as_ref())?,
             probes: probes(&root, path, &domain, liquid.is_some(), &solids)?,
             output: output(&root, liquid.is_some(), !solids.is_empty())?,
-            surface: surface(
-                &root,
-                liquid
-                    .as_ref()
-                    .is_some_and(|liquid| liquid.surface == Surface::Markers),
-            )?,
+            surface: surface(&root, liquid.as_ref().is_some_and(|liquid| liquid.surface == Surface::Markers))?,
             liquid,
             solids,
             camera: camera(&root, &domain.stretched(), &time)?,
@@ -245,7 +183,8 @@ fn read_text(path: &Path) -> Result<String, Error> {
         };
     }
     if is_kind(&["obj", "stl", "ply", "glb", "gltf", "msh", "vtu"]) {
-        let cure = "give a scene file (TOML) that names it: mesh = { file = .. }; `cutwater mesh` checks a mesh by itself";
+        let cure =
+            "give a scene file (TOML) that names it: mesh = { file = .. }; `cutwater mesh` checks a mesh by itself";
         return refuse("is a mesh, not a scene", cure.to_owned());
     }
     if is_kind(&["json", "csv", "vtp", "vti", "pvd"]) {
@@ -270,18 +209,12 @@ fn read_text(path: &Path) -> Result<String, Error> {
 fn scenes_in(folder: &Path) -> String {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let files = entries.map(|entry| entry.path());
-    let mut scenes: Vec<_> = files
-        .filter(|file| file.extension().is_some_and(|kind| kind == "toml"))
-        .collect();
+    let mut scenes: Vec<_> = files.filter(|file| file.extension().is_some_and(|kind| kind == "toml")).collect();
     scenes.sort();
     match &scenes[..] {
         [] => "give the path of a scene file (TOML); this folder has none".to_owned(),
         [scene] => format!("give the scene file in it: {}", scene.display()),
-        [first, ..] => format!(
-            "give one of the {} scene files in it, such as {}",
-            scenes.len(),
-            first.display()
-        ),
+        [first, ..] => format!("give one of the {} scene files in it, such as {}", scenes.len(), first.display()),
     }
 }
 
@@ -294,9 +227,7 @@ fn scene_name(path: &Path) -> Result<String, Error> {
     let most = MAX_FILE_NAME - LONGEST_ADDITION.len();
     let (problem, cure) = if let Some(c) = name.chars().find(unfit) {
         (
-            format!(
-                "the name of the file has the control character {c:?}, which files of results cannot represent"
-            ),
+            format!("the name of the file has the control character {c:?}, which files of results cannot represent"),
             "rename the file, without line breaks and other control characters".to_owned(),
         )
     } else if name.len() > most {
@@ -315,11 +246,7 @@ fn scene_name(path: &Path) -> Result<String, Error> {
     } else {
         return Ok(name);
     };
-    Err(Error::input(
-        path.display().to_string().escape_debug().to_string(),
-        problem,
-        cure,
-    ))
+    Err(Error::input(path.display().to_string().escape_debug().to_string(), problem, cure))
 }
 
 /// Contents of the mesh files.
@@ -360,20 +287,13 @@ fn mesh_hashes(scene: &Path, meshes: &[(&Path, Vec<u8>)]) -> BTreeMap<String, St
     let folder = scene.parent().unwrap_or(Path::new(""));
     let hash = |(mesh, bytes): &(&Path, Vec<u8>)| {
         let mesh = mesh.strip_prefix(folder).unwrap_or(mesh);
-        (
-            mesh.display().to_string(),
-            hexadecimal(&Sha256::digest(bytes)),
-        )
+        (mesh.display().to_string(), hexadecimal(&Sha256::digest(bytes)))
     };
     meshes.iter().map(hash).collect()
 }
 
 /// The files of all meshes, in the order of the scene.
-fn mesh_files<'a>(
-    liquid: Option<&'a Liquid>,
-    obstacles: &'a [Obstacle],
-    solids: &'a [Solid],
-) -> Vec<&'a Path> {
+fn mesh_files<'a>(liquid: Option<&'a Liquid>, obstacles: &'a [Obstacle], solids: &'a [Solid]) -> Vec<&'a Path> {
     let regions = liquid.into_iter().flat_map(|liquid| &liquid.regions);
     let shapes = regions.map(|region| &region.shape);
     let shapes = shapes.chain(obstacles.iter().map(|obstacle| &obstacle.shape));
@@ -381,9 +301,7 @@ fn mesh_files<'a>(
         Shape::Mesh { file, .. } => Some(&**file),
         _ => None,
     });
-    let solid_files = solids
-        .iter()
-        .filter_map(|solid| Some(&**solid.mesh.file()?));
+    let solid_files = solids.iter().filter_map(|solid| Some(&**solid.mesh.file()?));
     shape_files.chain(solid_files).collect()
 }
 
@@ -419,11 +337,7 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
                 format!("use size = {}", list((edges * dx).to_array()))
             }
         };
-        let place = if size_place.is_override() && !cells_place.is_override() {
-            &size_place
-        } else {
-            &cells_place
-        };
+        let place = if size_place.is_override() && !cells_place.is_override() { &size_place } else { &cells_place };
         return Err(place.fail(format!("cells of {x} x {y} x {z} m are not cubic"), cure));
     }
 
@@ -471,18 +385,9 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     })?;
     let first = gravity_keyframes.first();
     let gravity = first.map_or(DVec3::new(0.0, -9.81, 0.0), |frame| frame.value);
-    let gravity = table.optional("gravity", gravity, |place| {
-        bounded(&place, "gravity in m/s^2", MAX_GRAVITY)
-    })?;
+    let gravity = table.optional("gravity", gravity, |place| bounded(&place, "gravity in m/s^2", MAX_GRAVITY))?;
     let open = table.optional("open", Sides::default(), |place| open_sides(&place, root))?;
-    Ok(Domain {
-        size,
-        cells,
-        gravity,
-        gravity_keyframes,
-        open,
-        slab,
-    })
+    Ok(Domain { size, cells, gravity, gravity_keyframes, open, slab })
 }
 
 /// The axis across a slab of a domain with these cells.
@@ -501,10 +406,7 @@ fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
     let axes = Axis::ALL.into_iter();
     let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));
     let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
-    let expected = format!(
-        "a list, such as [\"+x\"], of any of {}",
-        Sides::NAMES.join(", ")
-    );
+    let expected = format!("a list, such as [\"+x\"], of any of {}", Sides::NAMES.join(", "));
     let entries = place.list().map_err(|_| place.wrong_type(&expected))?;
     let mut open = Sides::default();
     for entry in entries {
@@ -552,10 +454,7 @@ pub(super) fn bounded(place: &Place, what: &str, most: f64) -> Result<DVec3, Err
     let vector = place.vector(what)?;
     place.ensure(
         vector.abs().max_element() <= most,
-        format!(
-            "is {}",
-            list(vector.to_array().map(|part| format!("{part:?}")))
-        ),
+        format!("is {}", list(vector.to_array().map(|part| format!("{part:?}")))),
         format!("write {what} with numbers from -{most:e} to {most:e}"),
     )?;
     Ok(vector)
@@ -572,11 +471,9 @@ fn cubic_cells(size: DVec3, cells: [usize; 3]) -> Option<[usize; 3]> {
     let target = size.x / edges.element_product().cbrt();
     let most = (4.0 * target).ceil().min(MAX_CELLS_PER_AXIS as f64) as usize;
     let candidates = (1..=most).filter_map(|nx| {
-        let counts = size
-            .to_array()
-            .map(|side| (side / size.x * nx as f64).round().max(1.0));
-        let allowed = counts.iter().all(|&n| n <= MAX_CELLS_PER_AXIS as f64)
-            && counts.iter().product::<f64>() <= MAX_CELLS;
+        let counts = size.to_array().map(|side| (side / size.x * nx as f64).round().max(1.0));
+        let allowed =
+            counts.iter().all(|&n| n <= MAX_CELLS_PER_AXIS as f64) && counts.iter().product::<f64>() <= MAX_CELLS;
         let counts = counts.map(|n| n as usize);
         (allowed && cubic(size, counts)).then_some(counts)
     });
@@ -600,9 +497,7 @@ fn working_scale(cells: [usize; 3], scale: f64) -> f64 {
 }
 
 fn time(root: &Table) -> Result<Time, Error> {
-    let table = root
-        .required("time", "[time] with duration = 2.0")?
-        .table(&TIME)?;
+    let table = root.required("time", "[time] with duration = 2.0")?.table(&TIME)?;
     let duration_place = table.required("duration", "duration = 2.0, in s")?;
     let duration = duration_place.positive("a duration in s")?;
     let frames_per_second = table.optional("frames_per_second", 24.0, |place| {
@@ -645,13 +540,7 @@ fn time(root: &Table) -> Result<Time, Error> {
         )?;
         Ok(Some(step))
     })?;
-    Ok(Time {
-        duration,
-        frames_per_second,
-        cfl,
-        max_step,
-        fixed_step,
-    })
+    Ok(Time { duration, frames_per_second, cfl, max_step, fixed_step })
 }
 
 fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
@@ -660,11 +549,8 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = table.optional("density", 1000.0, |place| density(&place, "water has 1000"))?;
     let surface = table.optional("surface", Surface::Markers, |place| {
-        let surface = place.choice(&[
-            ("markers", Surface::Markers),
-            ("level", Surface::Level),
-            ("fixed", Surface::Fixed),
-        ])?;
+        let surface =
+            place.choice(&[("markers", Surface::Markers), ("level", Surface::Level), ("fixed", Surface::Fixed)])?;
         place.ensure(
             surface != Surface::Fixed || !domain.open.any(),
             "fixes the surface, and liquid leaves through open sides (domain.open)",
@@ -708,11 +594,7 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         (_, false) => {
             let places = table.required("region", example)?;
             let entries = places.list()?;
-            places.ensure(
-                !entries.is_empty(),
-                "has no entry, so there is no liquid",
-                format!("write {example}"),
-            )?;
+            places.ensure(!entries.is_empty(), "has no entry, so there is no liquid", format!("write {example}"))?;
             entries
         }
     };
@@ -727,15 +609,7 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         )?;
         regions.push(region);
     }
-    Ok(Liquid {
-        density,
-        regions,
-        surface,
-        marker_radius,
-        seed,
-        volume_control,
-        separation,
-    })
+    Ok(Liquid { density, regions, surface, marker_radius, seed, volume_control, separation })
 }
 
 fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> {
@@ -753,18 +627,13 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
         )?;
     }
     let placement = placement(&table, shape.centre())?;
-    ensure_in_domain(
-        &shape_place,
-        shape.reaches(&placement, domain.size),
-        domain.size,
-    )?;
+    ensure_in_domain(&shape_place, shape.reaches(&placement, domain.size), domain.size)?;
     Ok(Region {
         shape,
         placement,
         subtract: table.optional("subtract", false, |place| place.boolean())?,
-        velocity: table.optional("velocity", DVec3::ZERO, |place| {
-            bounded(&place, "a velocity in m/s", MAX_VELOCITY)
-        })?,
+        velocity: table
+            .optional("velocity", DVec3::ZERO, |place| bounded(&place, "a velocity in m/s", MAX_VELOCITY))?,
     })
 }
 
@@ -780,28 +649,16 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
         let inside_out = table.optional("inside_out", false, |place| place.boolean())?;
         let motion = motion(&table)?;
         let moves_in = motion.as_ref().zip(shape.bounds(&placement));
-        let moves_in =
-            moves_in.is_some_and(|(motion, bounds)| motion.may_reach(bounds, domain.size));
+        let moves_in = moves_in.is_some_and(|(motion, bounds)| motion.may_reach(bounds, domain.size));
         let inside = shape.reaches(&placement, domain.size) || moves_in;
         ensure_in_domain(&shape_place, inside, domain.size)?;
         if shape.contains_box(&placement, domain.size) {
             return Err(match inside_out {
-                true => shape_place.fail(
-                    "contains the whole domain, so the container has no effect",
-                    "shrink it",
-                ),
-                false => shape_place.fail(
-                    "fills the whole domain",
-                    "shrink it, or use a container: inside_out = true",
-                ),
+                true => shape_place.fail("contains the whole domain, so the container has no effect", "shrink it"),
+                false => shape_place.fail("fills the whole domain", "shrink it, or use a container: inside_out = true"),
             });
         }
-        Ok(Obstacle {
-            shape,
-            placement,
-            inside_out,
-            motion,
-        })
+        Ok(Obstacle { shape, placement, inside_out, motion })
     };
     places.list()?.into_iter().map(obstacle).collect()
 }
@@ -819,12 +676,7 @@ fn motion(table: &Table) -> Result<Option<Motion>, Error> {
         };
     }
     let keyframes = keyframes(table)?;
-    for (place, frame) in table
-        .required("keyframes", "keyframes = [{ t = 0 }]")?
-        .list()?
-        .iter()
-        .zip(&keyframes)
-        .skip(1)
+    for (place, frame) in table.required("keyframes", "keyframes = [{ t = 0 }]")?.list()?.iter().zip(&keyframes).skip(1)
     {
         let before = keyframes.iter().rev().find(|other| other.time < frame.time);
         let before = before.expect("the first keyframe was skipped");
@@ -835,12 +687,7 @@ fn motion(table: &Table) -> Result<Option<Motion>, Error> {
             format!("use a longer time or a shorter distance: at most {MAX_VELOCITY:e} m/s"),
         )?;
     }
-    Ok(Some(Motion {
-        keyframes,
-        pivot: pivot
-            .map(|place| place.vector("the centre of rotation in m"))
-            .transpose()?,
-    }))
+    Ok(Some(Motion { keyframes, pivot: pivot.map(|place| place.vector("the centre of rotation in m")).transpose()? }))
 }
 
 /// Floor of theta for marker surfaces, which are bumpy by a tenth of a cell: a smaller theta only amplifies the velocity of small-aperture
@@ -924,11 +771,7 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
 }
 
 fn ensure_coupled(place: &Place, coupled: bool) -> Result<(), Error> {
-    place.ensure(
-        coupled,
-        "needs liquid and elastic solids, and the scene does not have both",
-        "remove it",
-    )
+    place.ensure(coupled, "needs liquid and elastic solids, and the scene does not have both", "remove it")
 }
 
 /// The keys of scenes with liquid and solids.
@@ -953,23 +796,18 @@ fn coupled_solver(table: &Table, coupled: bool, solver: &mut Solver) -> Result<(
             ("condensed", Formulation::Condensed),
         ])?;
         place.ensure(
-            solver.formulation != Formulation::Condensed
-                || solver.preconditioner != Preconditioner::BlockJacobi,
+            solver.formulation != Formulation::Condensed || solver.preconditioner != Preconditioner::BlockJacobi,
             "has pressures as its only unknowns, and preconditioner \"block_jacobi\" needs nodes",
             "use formulation \"two_field\", or preconditioner \"jacobi\", the diagonal of B",
         )?;
     }
-    if coupled
-        && solver.formulation == Formulation::Auto
-        && solver.preconditioner != Preconditioner::Multigrid
-    {
+    if coupled && solver.formulation == Formulation::Auto && solver.preconditioner != Preconditioner::Multigrid {
         // Both diagonals are those of the two-field system.
         solver.formulation = Formulation::TwoField;
     }
     if let Some(place) = table.get("face_areas") {
         ensure_coupled(&place, coupled)?;
-        solver.face_areas =
-            place.choice(&[("clipped", FaceAreas::Clipped), ("nodal", FaceAreas::Nodal)])?;
+        solver.face_areas = place.choice(&[("clipped", FaceAreas::Clipped), ("nodal", FaceAreas::Nodal)])?;
         if solver.face_areas == FaceAreas::Nodal {
             solver.area_clamp = NODAL_AREA_CLAMP;
         }
@@ -1004,13 +842,11 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
             place.ensure(present || !*enabled, problem, cure)?;
         }
     }
-    output.every = table.optional("every", output.every, |place| {
-        place.count("the interval of written frames", 1, MAX_FRAMES)
+    output.every =
+        table.optional("every", output.every, |place| place.count("the interval of written frames", 1, MAX_FRAMES))?;
+    output.checkpoint_every = table.optional("checkpoint_every", output.checkpoint_every, |place| {
+        place.count("the interval of checkpoints in frames", 0, MAX_FRAMES)
     })?;
-    output.checkpoint_every =
-        table.optional("checkpoint_every", output.checkpoint_every, |place| {
-            place.count("the interval of checkpoints in frames", 0, MAX_FRAMES)
-        })?;
     Ok(output)
 }
 

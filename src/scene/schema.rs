@@ -24,10 +24,7 @@ const SHAPE_HOLDERS: [&str; 4] = ["region", "obstacle", "source", "sink"];
 
 /// The schema (draft 2020-12) of the TOML files that [`Scene::load`] reads. Only the reader checks conditions on several keys.
 pub fn schema() -> Result<Value, Error> {
-    let mut format = Format {
-        page: page(),
-        ..Format::default()
-    };
+    let mut format = Format { page: page(), ..Format::default() };
     for (number, text) in EXEMPLARS.into_iter().enumerate() {
         let document = Document::exemplar(text)?;
         Scene::from_document(&document, Path::new("exemplar.toml"), text, &[], 1.0)?;
@@ -89,9 +86,7 @@ impl Format {
     fn schema(&self, path: &str) -> Value {
         let mut schema = Map::new();
         let queries = self.queries.get(path).map_or(&[][..], |queries| queries);
-        let either = queries
-            .iter()
-            .find(|query| matches!(query, Query::NumberOrVector(_)));
+        let either = queries.iter().find(|query| matches!(query, Query::NumberOrVector(_)));
         // `NumberOrVector` is followed by a query of the exemplar's own type, which would narrow the schema.
         for query in either.map_or(queries, std::slice::from_ref) {
             self.add(&mut schema, path, query);
@@ -106,10 +101,7 @@ impl Format {
             _ => None,
         });
         let docs = self.docs(path);
-        let described = docs
-            .as_ref()
-            .map(KeyDocs::sentence)
-            .filter(|sentence| !sentence.is_empty());
+        let described = docs.as_ref().map(KeyDocs::sentence).filter(|sentence| !sentence.is_empty());
         if let Some(description) = described.or(what) {
             schema.insert("description".to_owned(), description.into());
         }
@@ -122,17 +114,13 @@ impl Format {
     fn add(&self, schema: &mut Map<String, Value>, path: &str, query: &Query) {
         let number = || json!({ "type": "number" });
         let list = |n: usize, items: Value| json!({ "type": "array", "items": items, "minItems": n, "maxItems": n });
-        let count =
-            |min: u64, max: u64| json!({ "type": "integer", "minimum": min, "maximum": max });
+        let count = |min: u64, max: u64| json!({ "type": "integer", "minimum": min, "maximum": max });
         let added = match query {
             Query::Number(_) => number(),
             Query::Positive => json!({ "type": "number", "exclusiveMinimum": 0 }),
             Query::Within(ends, with) => {
                 let mut range = Map::new();
-                let names = [
-                    ["exclusiveMinimum", "minimum"],
-                    ["exclusiveMaximum", "maximum"],
-                ];
+                let names = [["exclusiveMinimum", "minimum"], ["exclusiveMaximum", "maximum"]];
                 for ((end, with), names) in ends.iter().zip(with).zip(names) {
                     if end.is_finite() {
                         range.insert(names[usize::from(*with)].to_owned(), json!(end));
@@ -159,10 +147,7 @@ impl Format {
             }
             Query::List => json!({ "type": "array", "items": self.schema(&format!("{path}[]")) }),
             Query::OneOf(keys) => {
-                let each: Vec<Value> = keys
-                    .iter()
-                    .map(|key| json!({ "required": [key] }))
-                    .collect();
+                let each: Vec<Value> = keys.iter().map(|key| json!({ "required": [key] })).collect();
                 // A table may have two such choices.
                 match schema.contains_key("oneOf") {
                     true => json!({ "allOf": [{ "oneOf": each }] }),
@@ -179,11 +164,7 @@ impl Format {
     /// The keys that all occurrences of a table require.
     fn required(&self, path: &str) -> BTreeSet<String> {
         let occurrences = self.required.get(path).into_iter();
-        occurrences
-            .flat_map(BTreeMap::values)
-            .cloned()
-            .reduce(|all, here| &all & &here)
-            .unwrap_or_default()
+        occurrences.flat_map(BTreeMap::values).cloned().reduce(|all, here| &all & &here).unwrap_or_default()
     }
 
     fn docs(&self, path: &str) -> Option<KeyDocs> {
@@ -192,9 +173,7 @@ impl Format {
             let (holder, shape) = plain.rsplit_once('.')?;
             let holder = holder.rsplit('.').next()?;
             let is_shape = SHAPE_HOLDERS.contains(&holder);
-            self.page
-                .get(&format!("shapes.{shape}"))
-                .filter(|_| is_shape)
+            self.page.get(&format!("shapes.{shape}")).filter(|_| is_shape)
         };
         let docs = self.page.get(&plain).or_else(shape_docs);
         // The list itself has the description, its entries have none.
@@ -209,11 +188,7 @@ impl KeyDocs {
             default => format!("default: {default}"),
         };
         let parts = [&self.unit, &self.meaning, &default];
-        let parts: Vec<&str> = parts
-            .into_iter()
-            .map(String::as_str)
-            .filter(|part| !part.is_empty())
-            .collect();
+        let parts: Vec<&str> = parts.into_iter().map(String::as_str).filter(|part| !part.is_empty()).collect();
         parts.join("; ")
     }
 
@@ -248,10 +223,7 @@ fn page() -> BTreeMap<String, KeyDocs> {
             };
             columns.clear();
         }
-        let Some(cells) = line
-            .strip_prefix('|')
-            .and_then(|line| line.strip_suffix('|'))
-        else {
+        let Some(cells) = line.strip_prefix('|').and_then(|line| line.strip_suffix('|')) else {
             columns.clear();
             continue;
         };
@@ -261,16 +233,10 @@ fn page() -> BTreeMap<String, KeyDocs> {
             continue;
         }
         let cell = |names: &[&str]| {
-            let at = columns
-                .iter()
-                .position(|column| names.contains(&column.as_str()));
+            let at = columns.iter().position(|column| names.contains(&column.as_str()));
             at.and_then(|at| cells.get(at)).cloned().unwrap_or_default()
         };
-        let docs = KeyDocs {
-            unit: cell(&["unit", "keys"]),
-            default: cell(&["default"]),
-            meaning: cell(&["meaning"]),
-        };
+        let docs = KeyDocs { unit: cell(&["unit", "keys"]), default: cell(&["default"]), meaning: cell(&["meaning"]) };
         // A row may describe several keys.
         for key in cells[0].split(", ") {
             rows.insert(join(&section, key.trim_matches('`')), docs.clone());

@@ -35,12 +35,8 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
         "sphere" => {
             let table = place.table(&SPHERE)?;
             Shape::Sphere {
-                centre: table
-                    .required("centre", "centre = [0.5, 0.5, 0.5], in m")?
-                    .vector("the centre in m")?,
-                radius: table
-                    .required("radius", "radius = 0.1, in m")?
-                    .positive("the radius in m")?,
+                centre: table.required("centre", "centre = [0.5, 0.5, 0.5], in m")?.vector("the centre in m")?,
+                radius: table.required("radius", "radius = 0.1, in m")?.positive("the radius in m")?,
             }
         }
         "cylinder" => {
@@ -51,41 +47,26 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
                     .required("base", "base = [0.5, 0, 0.5], its centre in m")?
                     .vector("the centre of the base in m")?,
                 axis: axis.direction("the direction from the base")?,
-                radius: table
-                    .required("radius", "radius = 0.1, in m")?
-                    .positive("the radius in m")?,
-                height: table
-                    .required("height", "height = 0.3, in m")?
-                    .positive("the height along the axis in m")?,
+                radius: table.required("radius", "radius = 0.1, in m")?.positive("the radius in m")?,
+                height: table.required("height", "height = 0.3, in m")?.positive("the height along the axis in m")?,
             }
         }
         "half_space" => {
             let table = place.table(&HALF_SPACE)?;
             let normal = table.required("normal", "normal = [0, 1, 0], out of the half space")?;
             Shape::HalfSpace {
-                point: table
-                    .required("point", "point = [0, 0.5, 0], in m")?
-                    .vector("a point of the plane in m")?,
+                point: table.required("point", "point = [0, 0.5, 0], in m")?.vector("a point of the plane in m")?,
                 normal: normal.direction("the direction out of the half space")?,
             }
         }
         "wave" => {
             let table = place.table(&WAVE)?;
-            let wave_number = table.required(
-                "wave_number",
-                "wave_number = [3.14159, 0], along x and z in rad/m",
-            )?;
+            let wave_number = table.required("wave_number", "wave_number = [3.14159, 0], along x and z in rad/m")?;
             Shape::Wave {
-                level: table
-                    .required("level", "level = 0.5, in m")?
-                    .number("the mean height in m")?,
-                amplitude: table
-                    .required("amplitude", "amplitude = 0.05, in m")?
-                    .number("the amplitude in m")?,
+                level: table.required("level", "level = 0.5, in m")?.number("the mean height in m")?,
+                amplitude: table.required("amplitude", "amplitude = 0.05, in m")?.number("the amplitude in m")?,
                 wave_number: wave_number.numbers("the wave numbers along x and z in rad/m")?,
-                phase: table
-                    .get("phase")
-                    .map_or(Ok(0.0), |place| place.number("the phase in rad"))?,
+                phase: table.get("phase").map_or(Ok(0.0), |place| place.number("the phase in rad"))?,
             }
         }
         "mesh" => {
@@ -108,10 +89,7 @@ fn cuboid(place: Place) -> Result<Shape, Error> {
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         moved.unwrap_or(&place).ensure(
             max[axis] > min[axis],
-            format!(
-                "the box has no volume: along {name} it extends from {} to {}",
-                min[axis], max[axis]
-            ),
+            format!("the box has no volume: along {name} it extends from {} to {}", min[axis], max[axis]),
             "make every number of max larger than that of min",
         )?;
     }
@@ -132,10 +110,7 @@ pub(super) fn surface_file(table: &Table, scene: &Path) -> Result<(MeshFile, f64
 pub(super) fn ensure_in_domain(place: &Place, inside: bool, size: DVec3) -> Result<(), Error> {
     place.ensure(
         inside,
-        format!(
-            "lies outside the domain, which extends from the origin to {} m",
-            list(size.to_array())
-        ),
+        format!("lies outside the domain, which extends from the origin to {} m", list(size.to_array())),
         "move it so that a part lies inside",
     )
 }
@@ -159,14 +134,8 @@ pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
             MAX_SOLITARY * depth
         ),
     )?;
-    let crest = table.required(
-        "crest",
-        "crest = [1, 0], x and z of a point of the crest in m",
-    )?;
-    let direction = table.required(
-        "direction",
-        "direction = [1, 0], of propagation along x and z",
-    )?;
+    let crest = table.required("crest", "crest = [1, 0], x and z of a point of the crest in m")?;
+    let direction = table.required("direction", "direction = [1, 0], of propagation along x and z")?;
     let [x, z] = direction.numbers("the direction of propagation along x and z")?;
     let length = f64::hypot(x, z);
     direction.ensure(
@@ -176,10 +145,7 @@ pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
     )?;
     place.ensure(
         gravity.y < 0.0 && gravity.x == 0.0 && gravity.z == 0.0,
-        format!(
-            "needs a level floor, and gravity is [{}, {}, {}]",
-            gravity.x, gravity.y, gravity.z
-        ),
+        format!("needs a level floor, and gravity is [{}, {}, {}]", gravity.x, gravity.y, gravity.z),
         "let domain.gravity point along -y, such as [0, -9.81, 0]",
     )?;
     Ok(Shape::Solitary(SolitaryWave {
@@ -200,9 +166,7 @@ pub(super) fn mesh_file(
     cure: &str,
 ) -> Result<MeshFile, Error> {
     let name = place.text(what)?;
-    let kind = Path::new(name)
-        .extension()
-        .map(|kind| kind.to_ascii_lowercase());
+    let kind = Path::new(name).extension().map(|kind| kind.to_ascii_lowercase());
     let known = kind.is_some_and(|kind| kinds.iter().any(|known| kind == *known));
     let problem = format!("`{name}` is not a supported mesh format");
     place.ensure(known, problem, cure)?;
@@ -263,12 +227,8 @@ pub(super) fn placement(table: &Table, centre: Option<DVec3>) -> Result<Placemen
 /// The axis (a unit vector) and the angle (rad) of a rotation.
 fn rotation(place: Place) -> Result<(DVec3, f64), Error> {
     let table = place.table(&ROTATE)?;
-    let axis = table
-        .required("axis", "axis = [0, 0, 1]")?
-        .direction("the axis of rotation")?;
-    let degrees = table
-        .required("degrees", "degrees = 30")?
-        .number("the angle in degrees")?;
+    let axis = table.required("axis", "axis = [0, 0, 1]")?.direction("the axis of rotation")?;
+    let degrees = table.required("degrees", "degrees = 30")?.number("the angle in degrees")?;
     Ok((axis, degrees.to_radians()))
 }
 
@@ -277,16 +237,10 @@ pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
     let example = "keyframes = [{ t = 0 }, { t = 1, translate = [0, 0.1, 0] }]";
     let places = table.required("keyframes", example)?;
     over_time(&places, &KEYFRAME, example, |table, time| {
-        let translate = table.optional("translate", DVec3::ZERO, |place| {
-            place.vector("a translation from rest in m")
-        })?;
+        let translate =
+            table.optional("translate", DVec3::ZERO, |place| place.vector("a translation from rest in m"))?;
         let (axis, angle) = table.optional("rotate", (DVec3::Y, 0.0), rotation)?;
-        Ok(Keyframe {
-            time,
-            translate,
-            axis,
-            angle,
-        })
+        Ok(Keyframe { time, translate, axis, angle })
     })
 }
 
@@ -300,10 +254,7 @@ pub(super) fn vector_keyframes(
     over_time(places, keys, example, |table, time| {
         let name = keys.valid[1];
         let value = table.required(name, &format!("{name} = [0, -1, 0], {what}"))?;
-        Ok(VectorKeyframe {
-            time,
-            value: bounded(&value, what, most)?,
-        })
+        Ok(VectorKeyframe { time, value: bounded(&value, what, most)? })
     })
 }
 
@@ -320,11 +271,7 @@ fn over_time<T>(
         let table = place.table(keys)?;
         let time_place = table.required("t", "t = 0.5, in s")?;
         let time = time_place.number("the time of the keyframe in s")?;
-        time_place.ensure(
-            time >= 0.0,
-            format!("is {time}, before the start"),
-            "write a time of 0 s or later",
-        )?;
+        time_place.ensure(time >= 0.0, format!("is {time}, before the start"), "write a time of 0 s or later")?;
         if let Some(last) = last {
             time_place.ensure(
                 time > last,
@@ -335,11 +282,7 @@ fn over_time<T>(
         last = Some(time);
         entries.push(read(&table, time)?);
     }
-    places.ensure(
-        !entries.is_empty(),
-        "has no entry",
-        format!("write {example}"),
-    )?;
+    places.ensure(!entries.is_empty(), "has no entry", format!("write {example}"))?;
     Ok(entries)
 }
 
@@ -371,13 +314,8 @@ impl Shape {
         match self {
             Shape::Box { min, max } => Some(0.5 * (min + max)),
             Shape::Sphere { centre, .. } => Some(*centre),
-            Shape::Cylinder {
-                base, axis, height, ..
-            } => Some(base + 0.5 * height * axis),
-            Shape::HalfSpace { .. }
-            | Shape::Wave { .. }
-            | Shape::Solitary(_)
-            | Shape::Mesh { .. } => None,
+            Shape::Cylinder { base, axis, height, .. } => Some(base + 0.5 * height * axis),
+            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) | Shape::Mesh { .. } => None,
         }
     }
 
@@ -389,12 +327,7 @@ impl Shape {
                 direction.abs().dot(DVec3::new(y * z, z * x, x * y))
             }
             Shape::Sphere { radius, .. } => std::f64::consts::PI * radius * radius,
-            Shape::Cylinder {
-                axis,
-                radius,
-                height,
-                ..
-            } => {
+            Shape::Cylinder { axis, radius, height, .. } => {
                 let along = direction.dot(axis).abs();
                 let across = direction.cross(axis).length();
                 radius * (std::f64::consts::PI * radius * along + 2.0 * height * across)
@@ -411,12 +344,7 @@ impl Shape {
                 DMat3::from_cols_array(&columns.map(f64::abs)) * (0.5 * (max - min))
             }
             Shape::Sphere { radius, .. } => DVec3::splat(radius),
-            Shape::Cylinder {
-                axis,
-                radius,
-                height,
-                ..
-            } => {
+            Shape::Cylinder { axis, radius, height, .. } => {
                 let axis = placement.rotate * axis;
                 let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
                 let rim = radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt());
@@ -433,9 +361,7 @@ impl Shape {
     pub(crate) fn lies_in(&self, size: DVec3) -> bool {
         let slack = 1e-9 * size.max_element();
         self.bounds(&Placement::default())
-            .is_some_and(|[low, high]| {
-                low.min_element() >= -slack && (high - size).max_element() <= slack
-            })
+            .is_some_and(|[low, high]| low.min_element() >= -slack && (high - size).max_element() <= slack)
     }
 
     /// Whether a part lies in the box from the origin to `size`, by bounding boxes; always true for meshes and solitary waves.
@@ -454,9 +380,7 @@ impl Shape {
                 let mut corners = corners(size).into_iter();
                 corners.any(|corner| (corner - point).dot(normal) < 0.0)
             }
-            Shape::Wave {
-                level, amplitude, ..
-            } => level + amplitude.abs() > 0.0,
+            Shape::Wave { level, amplitude, .. } => level + amplitude.abs() > 0.0,
             Shape::Solitary(_) | Shape::Mesh { .. } => true,
         }
     }
@@ -468,24 +392,14 @@ impl Shape {
         };
         corners(size).into_iter().all(|corner| {
             // Relative to the centre, in the coordinates of the shape before its placement.
-            let x = placement.rotate.transpose() * (corner - placement.translate - centre)
-                / placement.scale;
+            let x = placement.rotate.transpose() * (corner - placement.translate - centre) / placement.scale;
             match self {
                 Shape::Box { min, max } => x.abs().cmple(0.5 * (max - min)).all(),
                 Shape::Sphere { radius, .. } => x.length() <= *radius,
-                Shape::Cylinder {
-                    axis,
-                    radius,
-                    height,
-                    ..
-                } => {
-                    x.dot(*axis).abs() <= 0.5 * height
-                        && x.reject_from_normalized(*axis).length() <= *radius
+                Shape::Cylinder { axis, radius, height, .. } => {
+                    x.dot(*axis).abs() <= 0.5 * height && x.reject_from_normalized(*axis).length() <= *radius
                 }
-                Shape::HalfSpace { .. }
-                | Shape::Wave { .. }
-                | Shape::Solitary(_)
-                | Shape::Mesh { .. } => false,
+                Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) | Shape::Mesh { .. } => false,
             }
         })
     }
@@ -493,7 +407,5 @@ impl Shape {
 
 /// The corners of the box from the origin to `size`.
 pub(super) fn corners(size: DVec3) -> [DVec3; 8] {
-    std::array::from_fn(|i| {
-        size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64)
-    })
+    std::array::from_fn(|i| size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64))
 }

@@ -5,9 +5,7 @@
 
 use glam::DVec3;
 
-use super::{
-    Domain, Keyframe, LoadKind, Pin, Placement, ProbeKind, ProbedNodes, Scene, Shape, SolidMesh,
-};
+use super::{Domain, Keyframe, LoadKind, Pin, Placement, ProbeKind, ProbedNodes, Scene, Shape, SolidMesh};
 use crate::error::Error;
 
 /// Most cells across a slab.
@@ -38,9 +36,7 @@ impl Slab {
     pub(crate) fn probe_factors(self, kind: &ProbeKind) -> Option<[f64; 4]> {
         let per_thickness = 1.0 / self.stretch;
         match kind {
-            ProbeKind::Force { .. } | ProbeKind::Reaction { .. } | ProbeKind::Flux { .. } => {
-                Some([per_thickness; 4])
-            }
+            ProbeKind::Force { .. } | ProbeKind::Reaction { .. } | ProbeKind::Flux { .. } => Some([per_thickness; 4]),
             ProbeKind::Solid { .. } => {
                 let mut factors = [1.0; 4];
                 factors[self.axis] = per_thickness;
@@ -55,10 +51,7 @@ impl Domain {
     /// The domain with the thickness of its slab.
     pub(super) fn stretched(&self) -> Domain {
         let stretches = self.slab.map_or(DVec3::ONE, Slab::stretches);
-        Domain {
-            size: self.size * stretches,
-            ..self.clone()
-        }
+        Domain { size: self.size * stretches, ..self.clone() }
     }
 }
 
@@ -76,35 +69,19 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
     let Slab { axis, stretch } = slab;
     let name = ["x", "y", "z"][axis];
     let origins = scene.clone();
-    let fail =
-        |key: String, [problem, cure]: Refusal| Error::input(origins.at(&key), problem, cure);
-    let across = |what: &str| {
-        [
-            format!("{what} varies along {name}, across the slab"),
-            format!("let nothing vary along {name}"),
-        ]
-    };
+    let fail = |key: String, [problem, cure]: Refusal| Error::input(origins.at(&key), problem, cure);
+    let across =
+        |what: &str| [format!("{what} varies along {name}, across the slab"), format!("let nothing vary along {name}")];
     let thickness = scene.domain.size[axis];
     let slack = TOLERANCE * thickness;
     if scene.domain.largest_gravity()[axis] != 0.0 {
         return Err(fail("domain.gravity".to_owned(), across("gravity")));
     }
-    if [0, 1]
-        .into_iter()
-        .any(|side| scene.domain.open.has(crate::grid::Axis::ALL[axis], side))
-    {
+    if [0, 1].into_iter().any(|side| scene.domain.open.has(crate::grid::Axis::ALL[axis], side)) {
         let cure = format!("keep the sides -{name} and +{name} closed");
-        return Err(fail(
-            "domain.open".to_owned(),
-            ["opens a wall of the slab".to_owned(), cure],
-        ));
+        return Err(fail("domain.open".to_owned(), ["opens a wall of the slab".to_owned(), cure]));
     }
-    for (number, region) in scene
-        .liquid
-        .iter_mut()
-        .flat_map(|liquid| &mut liquid.regions)
-        .enumerate()
-    {
+    for (number, region) in scene.liquid.iter_mut().flat_map(|liquid| &mut liquid.regions).enumerate() {
         let at = |error| fail(format!("liquid.region[{number}]"), error);
         shape(slab, &mut region.shape).map_err(at)?;
         placement(slab, &mut region.placement).map_err(at)?;
@@ -140,8 +117,7 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
                 return Err(at([across("a ball")[0].clone(), cure.to_owned()]));
             }
             SolidMesh::Box { size, .. } => {
-                let half =
-                    0.5 * (solid.placement.scale * (solid.placement.rotate * size).abs())[axis];
+                let half = 0.5 * (solid.placement.scale * (solid.placement.rotate * size).abs())[axis];
                 let middle = solid.placement.translate[axis];
                 if solid.placement.is_along(axis)
                     && ((middle - half).abs() > slack || (middle + half - thickness).abs() > slack)
@@ -152,9 +128,7 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
                             middle - half,
                             middle + half
                         ),
-                        format!(
-                            "let it extend from 0 to {thickness} m along {name}: size and placement.at"
-                        ),
+                        format!("let it extend from 0 to {thickness} m along {name}: size and placement.at"),
                     ]));
                 }
             }
@@ -177,10 +151,7 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
         }
         let normal = DVec3::AXES[axis];
         solid.pins.push(Pin {
-            region: Shape::HalfSpace {
-                point: BEYOND * normal,
-                normal,
-            },
+            region: Shape::HalfSpace { point: BEYOND * normal, normal },
             components: std::array::from_fn(|component| component == axis),
             keyframes: Vec::new(),
             pivot: None,
@@ -192,23 +163,10 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
             ProbeKind::Height { foot: point, .. }
             | ProbeKind::Pressure { point }
             | ProbeKind::Velocity { point }
-            | ProbeKind::Node {
-                nodes: ProbedNodes::Nearest(point),
-                ..
-            } => point[axis] *= stretch,
-            ProbeKind::Node {
-                nodes: ProbedNodes::Within(region),
-                ..
-            }
-            | ProbeKind::Reaction {
-                region: Some(region),
-                ..
-            } => shape(slab, region).map_err(at)?,
-            ProbeKind::Flux {
-                axis: normal,
-                min,
-                max,
-            } => {
+            | ProbeKind::Node { nodes: ProbedNodes::Nearest(point), .. } => point[axis] *= stretch,
+            ProbeKind::Node { nodes: ProbedNodes::Within(region), .. }
+            | ProbeKind::Reaction { region: Some(region), .. } => shape(slab, region).map_err(at)?,
+            ProbeKind::Flux { axis: normal, min, max } => {
                 if *normal == axis {
                     return Err(at(across("its flux")));
                 }
@@ -232,12 +190,8 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
 /// Stretches a shape that does not vary across the slab.
 fn shape(Slab { axis, stretch }: Slab, shape: &mut Shape) -> Result<(), Refusal> {
     let name = ["x", "y", "z"][axis];
-    let varies = |what: &str, cure: &str| {
-        Err([
-            format!("{what} varies along {name}, across the slab"),
-            cure.to_owned(),
-        ])
-    };
+    let varies =
+        |what: &str, cure: &str| Err([format!("{what} varies along {name}, across the slab"), cure.to_owned()]);
     let horizontal = |numbers: &[f64; 2]| match axis {
         0 => numbers[0] != 0.0,
         1 => true,
@@ -248,12 +202,7 @@ fn shape(Slab { axis, stretch }: Slab, shape: &mut Shape) -> Result<(), Refusal>
             min[axis] *= stretch;
             max[axis] *= stretch;
         }
-        Shape::Cylinder {
-            base,
-            axis: along,
-            height,
-            ..
-        } => {
+        Shape::Cylinder { base, axis: along, height, .. } => {
             if along.reject_from_normalized(DVec3::AXES[axis]).length() > TOLERANCE {
                 return varies("the cylinder", &format!("let its axis point along {name}"));
             }
@@ -262,25 +211,16 @@ fn shape(Slab { axis, stretch }: Slab, shape: &mut Shape) -> Result<(), Refusal>
         }
         Shape::HalfSpace { point, normal } => {
             if normal[axis].abs() > TOLERANCE {
-                return varies(
-                    "the half space",
-                    &format!("let its normal have no part along {name}"),
-                );
+                return varies("the half space", &format!("let its normal have no part along {name}"));
             }
             point[axis] *= stretch;
         }
         Shape::Sphere { .. } => return varies("a sphere", &format!("use a cylinder along {name}")),
         Shape::Wave { wave_number, .. } if horizontal(wave_number) => {
-            return varies(
-                "the wave",
-                &format!("let its wave_number have no part along {name}"),
-            );
+            return varies("the wave", &format!("let its wave_number have no part along {name}"));
         }
         Shape::Solitary(wave) if horizontal(&wave.direction) => {
-            return varies(
-                "the wave",
-                &format!("let its direction have no part along {name}"),
-            );
+            return varies("the wave", &format!("let its direction have no part along {name}"));
         }
         // A mesh has to reach across at every scale.
         Shape::Wave { .. } | Shape::Solitary(_) | Shape::Mesh { .. } => {}
@@ -308,8 +248,7 @@ fn placement(Slab { axis, stretch }: Slab, placement: &mut Placement) -> Result<
 fn keyframes(Slab { axis, .. }: Slab, keyframes: &[Keyframe]) -> Result<(), Refusal> {
     let leaves = |frame: &Keyframe| {
         let turn = frame.angle * frame.axis;
-        frame.translate[axis] != 0.0
-            || turn.reject_from_normalized(DVec3::AXES[axis]).length() > TOLERANCE
+        frame.translate[axis] != 0.0 || turn.reject_from_normalized(DVec3::AXES[axis]).length() > TOLERANCE
     };
     if keyframes.iter().any(leaves) {
         let name = ["x", "y", "z"][axis];

@@ -47,13 +47,7 @@ const VELOCITY_GRADIENT: Keys = Keys::new(&["x", "y", "z"]);
 const DAMPING: Keys = Keys::new(&["mass", "stiffness"]);
 const PIN: Keys = Keys::new(&["region", "components"]);
 const SCRIPT: Keys = Keys::new(&["region", "components", "keyframes", "pivot"]);
-const LOAD: Keys = Keys::new(&[
-    "region",
-    "force",
-    "traction",
-    "force_keyframes",
-    "traction_keyframes",
-]);
+const LOAD: Keys = Keys::new(&["region", "force", "traction", "force_keyframes", "traction_keyframes"]);
 const LOAD_KINDS: [&str; 4] = ["force", "traction", "force_keyframes", "traction_keyframes"];
 const FORCE_KEYFRAME: Keys = Keys::new(&["t", "force"]);
 const TRACTION_KEYFRAME: Keys = Keys::new(&["t", "traction"]);
@@ -115,17 +109,12 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
         )?,
         poisson: poisson(&table)?,
         model: table.optional("model", ElasticModel::Corotational, |place| {
-            place.choice(&[
-                ("corotational", ElasticModel::Corotational),
-                ("linear", ElasticModel::Linear),
-            ])
+            place.choice(&[("corotational", ElasticModel::Corotational), ("linear", ElasticModel::Linear)])
         })?,
         mass_damping,
         stiffness_damping,
         pins,
-        loads: loads
-            .map(|place| load(place, file))
-            .collect::<Result<_, _>>()?,
+        loads: loads.map(|place| load(place, file)).collect::<Result<_, _>>()?,
     })
 }
 
@@ -139,9 +128,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
     let (kind, place) = table.one_of(&MESH_KINDS, "mesh")?;
     if let Some(place) = table.get("units").filter(|_| kind != "file") {
         let cure = match kind {
-            "surface" => {
-                "write it beside its file: surface = { file = .., units = .., cell_size = .. }"
-            }
+            "surface" => "write it beside its file: surface = { file = .., units = .., cell_size = .. }",
             _ => "remove it: lengths in a scene are in m",
         };
         return Err(place.fail(format!("needs a mesh file, and {kind} is none"), cure));
@@ -163,10 +150,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
         "sphere" => {
             let table = place.table(&SPHERE)?;
             let radius = radius(&table)?;
-            SolidMesh::Sphere {
-                radius,
-                cell_size: ball_cell_size(&table, radius)?,
-            }
+            SolidMesh::Sphere { radius, cell_size: ball_cell_size(&table, radius)? }
         }
         "shell" => {
             let table = place.table(&SHELL)?;
@@ -178,11 +162,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
                 format!("a shell of {thickness} m leaves no hollow in a radius of {radius} m"),
                 "use a thickness below the radius, or a sphere",
             )?;
-            SolidMesh::Shell {
-                radius,
-                thickness,
-                cell_size: ball_cell_size(&table, radius)?,
-            }
+            SolidMesh::Shell { radius, thickness, cell_size: ball_cell_size(&table, radius)? }
         }
         "file" => SolidMesh::File {
             file: mesh_file(
@@ -197,19 +177,13 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
         _ => {
             let table = place.table(&SURFACE)?;
             let (file, unit) = surface_file(&table, file)?;
-            SolidMesh::Surface {
-                file,
-                unit,
-                cell_size: cell_size(&table)?.1,
-            }
+            SolidMesh::Surface { file, unit, cell_size: cell_size(&table)?.1 }
         }
     })
 }
 
 fn radius(table: &Table) -> Result<f64, Error> {
-    table
-        .required("radius", "radius = 0.1, in m")?
-        .positive("the radius in m")
+    table.required("radius", "radius = 0.1, in m")?.positive("the radius in m")
 }
 
 fn cell_size<'a>(table: &Table<'a>) -> Result<(Place<'a>, f64), Error> {
@@ -232,22 +206,14 @@ fn ball_cell_size(table: &Table, radius: f64) -> Result<f64, Error> {
 
 fn initial(place: Place) -> Result<Initial, Error> {
     let table = place.table(&INITIAL)?;
-    let bounded = |key: &str, what: &str| {
-        table.optional(key, DVec3::ZERO, |place| {
-            bounded(&place, what, MAX_VELOCITY)
-        })
-    };
+    let bounded = |key: &str, what: &str| table.optional(key, DVec3::ZERO, |place| bounded(&place, what, MAX_VELOCITY));
     Ok(Initial {
         scale: table.optional("scale", DVec3::ONE, |place| {
             place.number_or_vector("the stretch, one number or one for each axis")
         })?,
         velocity: bounded("velocity", "a velocity in m/s")?,
         spin: bounded("spin", "an angular velocity in rad/s")?,
-        velocity_gradient: table.optional(
-            "velocity_gradient",
-            [DVec3::ZERO; 3],
-            velocity_gradient,
-        )?,
+        velocity_gradient: table.optional("velocity_gradient", [DVec3::ZERO; 3], velocity_gradient)?,
     })
 }
 
@@ -255,9 +221,7 @@ fn initial(place: Place) -> Result<Initial, Error> {
 fn velocity_gradient(place: Place) -> Result<[DVec3; 3], Error> {
     let table = place.table(&VELOCITY_GRADIENT)?;
     let row = |key: &str| {
-        table.optional(key, DVec3::ZERO, |place| {
-            bounded(&place, "a gradient of velocity in 1/s", MAX_VELOCITY)
-        })
+        table.optional(key, DVec3::ZERO, |place| bounded(&place, "a gradient of velocity in 1/s", MAX_VELOCITY))
     };
     Ok([row("x")?, row("y")?, row("z")?])
 }
@@ -324,10 +288,7 @@ fn damping(place: Place) -> Result<(f64, f64), Error> {
             place.number_within(what, 0.0..=MAX_DAMPING, cure)
         })
     };
-    Ok((
-        coefficient("mass", "the damping by mass in 1/s")?,
-        coefficient("stiffness", "the damping by stiffness in s")?,
-    ))
+    Ok((coefficient("mass", "the damping by mass in 1/s")?, coefficient("stiffness", "the damping by stiffness in s")?))
 }
 
 /// The shape under `region` that selects nodes.
@@ -336,8 +297,7 @@ pub(super) fn node_region(table: &Table, file: &Path) -> Result<super::Shape, Er
 }
 
 fn region(table: &Table, shapes: &[&str], keys: &Keys, file: &Path) -> Result<super::Shape, Error> {
-    let example =
-        "region = { box = { min = [0, 0, 0], max = [0.01, 1, 1] } }, around the nodes at rest";
+    let example = "region = { box = { min = [0, 0, 0], max = [0.01, 1, 1] } }, around the nodes at rest";
     let region = table.required("region", example)?.table(keys)?;
     let (kind, place) = region.one_of(shapes, "shape")?;
     shape(kind, place, file)
@@ -365,12 +325,7 @@ fn components(table: &Table) -> Result<[bool; 3], Error> {
 
 fn pin(place: Place, file: &Path) -> Result<Pin, Error> {
     let table = place.table(&PIN)?;
-    Ok(Pin {
-        region: node_region(&table, file)?,
-        components: components(&table)?,
-        keyframes: Vec::new(),
-        pivot: None,
-    })
+    Ok(Pin { region: node_region(&table, file)?, components: components(&table)?, keyframes: Vec::new(), pivot: None })
 }
 
 fn script(place: Place, file: &Path) -> Result<Pin, Error> {
@@ -379,10 +334,7 @@ fn script(place: Place, file: &Path) -> Result<Pin, Error> {
         region: region(&table, &SCRIPT_SHAPES, &SCRIPT_REGION, file)?,
         components: components(&table)?,
         keyframes: keyframes(&table)?,
-        pivot: table
-            .get("pivot")
-            .map(|place| bounded(&place, "the centre of rotation in m", MAX_PIVOT))
-            .transpose()?,
+        pivot: table.get("pivot").map(|place| bounded(&place, "the centre of rotation in m", MAX_PIVOT)).transpose()?,
     })
 }
 
@@ -396,8 +348,7 @@ fn load(place: Place, file: &Path) -> Result<Load, Error> {
     };
     let keyframes = match kind {
         "force_keyframes" => {
-            let example =
-                "force_keyframes = [{ t = 0, force = [0, 0, 0] }, { t = 1, force = [0, -1, 0] }]";
+            let example = "force_keyframes = [{ t = 0, force = [0, 0, 0] }, { t = 1, force = [0, -1, 0] }]";
             vector_keyframes(&place, (&FORCE_KEYFRAME, example), what, MAX_STRESS)?
         }
         "traction_keyframes" => {

@@ -11,16 +11,7 @@ use super::{Domain, Liquid, Placement, Shape, Sink, Source, Surface};
 use crate::error::{Error, rounded};
 
 const SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
-const SOURCE: Keys = Keys::new(&[
-    "box",
-    "sphere",
-    "cylinder",
-    "velocity",
-    "flow_rate",
-    "direction",
-    "start",
-    "end",
-]);
+const SOURCE: Keys = Keys::new(&["box", "sphere", "cylinder", "velocity", "flow_rate", "direction", "start", "end"]);
 const SINK: Keys = Keys::new(&["box", "sphere", "cylinder"]);
 /// Most sources, and most sinks: a 32-bit word stores which of them run.
 const MAX_ENTRIES: usize = 32;
@@ -46,18 +37,9 @@ pub(super) fn sources(
             )?;
             Ok(end)
         })?;
-        Ok(Source {
-            shape,
-            velocity,
-            flow_rate,
-            start,
-            end,
-        })
+        Ok(Source { shape, velocity, flow_rate, start, end })
     };
-    entries(root, "source", liquid)?
-        .into_iter()
-        .map(source)
-        .collect()
+    entries(root, "source", liquid)?.into_iter().map(source).collect()
 }
 
 /// Least speed of a source, m/s: a slower velocity has no direction in single precision.
@@ -99,28 +81,16 @@ fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
     Ok((speed * direction, Some(flow_rate)))
 }
 
-pub(super) fn sinks(
-    root: &Table,
-    file: &Path,
-    domain: &Domain,
-    liquid: Option<&Liquid>,
-) -> Result<Vec<Sink>, Error> {
+pub(super) fn sinks(root: &Table, file: &Path, domain: &Domain, liquid: Option<&Liquid>) -> Result<Vec<Sink>, Error> {
     let sink = |place: Place| {
         let (_, shape) = region(&place, &SINK, file, domain)?;
         Ok(Sink { shape })
     };
-    entries(root, "sink", liquid)?
-        .into_iter()
-        .map(sink)
-        .collect()
+    entries(root, "sink", liquid)?.into_iter().map(sink).collect()
 }
 
 /// Entries of a list that needs a liquid with markers.
-fn entries<'a>(
-    root: &Table<'a>,
-    key: &str,
-    liquid: Option<&Liquid>,
-) -> Result<Vec<Place<'a>>, Error> {
+fn entries<'a>(root: &Table<'a>, key: &str, liquid: Option<&Liquid>) -> Result<Vec<Place<'a>>, Error> {
     let Some(place) = root.get(key) else {
         return Ok(Vec::new());
     };
@@ -145,12 +115,7 @@ fn entries<'a>(
 }
 
 /// The table of an entry and its shape.
-fn region<'a>(
-    place: &Place<'a>,
-    keys: &Keys,
-    file: &Path,
-    domain: &Domain,
-) -> Result<(Table<'a>, Shape), Error> {
+fn region<'a>(place: &Place<'a>, keys: &Keys, file: &Path, domain: &Domain) -> Result<(Table<'a>, Shape), Error> {
     let table = place.clone().table(keys)?;
     let (kind, shape_place) = table.one_of(&SHAPES, "shape")?;
     let shape = shape(kind, shape_place.clone(), file)?;

@@ -3,31 +3,19 @@
 /// Terms, separated by spaces, and the corresponding key of the same table.
 const KEYS: &[(&str, &str)] = &[
     // [domain]
-    (
-        "resolution grid grid_size divisions n dx cell_size",
-        "cells",
-    ),
+    ("resolution grid grid_size divisions n dx cell_size", "cells"),
     ("dimensions extent extents lengths", "size"),
     ("g", "gravity"),
     ("outlet outflow boundary boundaries", "open"),
     // [time]
     ("fps frame_rate framerate rate", "frames_per_second"),
-    (
-        "end end_time t_end tmax t_max stop total_time length",
-        "duration",
-    ),
+    ("end end_time t_end tmax t_max stop total_time length", "duration"),
     ("dt time_step timestep step delta_t substep", "fixed_step"),
-    (
-        "dt_max max_dt max_timestep largest_step longest_step",
-        "max_step",
-    ),
+    ("dt_max max_dt max_timestep largest_step longest_step", "max_step"),
     ("courant cfl_number", "cfl"),
     // Materials
     ("rho mass_density", "density"),
-    (
-        "e youngs_modulus young_modulus youngs elastic_modulus elasticity modulus stiffness",
-        "young",
-    ),
+    ("e youngs_modulus young_modulus youngs elastic_modulus elasticity modulus stiffness", "young"),
     ("nu poisson_ratio poissons_ratio poissons", "poisson"),
     ("material material_model constitutive_model", "model"),
     // Sections
@@ -65,49 +53,25 @@ const WITHIN: &[(&str, &str, &str)] = &[
         "placement",
         "placement = { at = [x, y, z] }, the position of its centre in m",
     ),
-    (
-        "translate translation offset",
-        "placement",
-        "placement = { translate = [x, y, z] }, in m",
-    ),
-    (
-        "rotate rotation orientation",
-        "placement",
-        "placement = { rotate = { axis = [0, 1, 0], degrees = 30 } }",
-    ),
+    ("translate translation offset", "placement", "placement = { translate = [x, y, z] }, in m"),
+    ("rotate rotation orientation", "placement", "placement = { rotate = { axis = [0, 1, 0], degrees = 30 } }"),
     ("scale", "placement", "placement = { scale = 2 }"),
-    (
-        "units unit",
-        "mesh",
-        "units beside the file of the mesh: { file = .., units = \"mm\" }",
-    ),
+    ("units unit", "mesh", "units beside the file of the mesh: { file = .., units = \"mm\" }"),
     ("file filename path", "mesh", "mesh = { file = .. }"),
-    (
-        "velocity vel speed",
-        "initial",
-        "initial = { velocity = [x, y, z] }, in m/s",
-    ),
+    ("velocity vel speed", "initial", "initial = { velocity = [x, y, z] }, in m/s"),
     ("mass weight", "young", "density, in kg/m^3"),
     (
         "mu lambda shear_modulus bulk_modulus",
         "young",
         "young and poisson, to which any two moduli of elasticity convert",
     ),
-    (
-        "gravity size cells resolution",
-        "domain",
-        "the key in the section [domain]",
-    ),
+    ("gravity size cells resolution", "domain", "the key in the section [domain]"),
     (
         "duration fps dt frames_per_second fixed_step max_step cfl",
         "domain",
         "the key in the section [time]: duration, frames_per_second, cfl, max_step, fixed_step",
     ),
-    (
-        "density rho",
-        "domain",
-        "the key in the section [liquid] or in a [[solid]]",
-    ),
+    ("density rho", "domain", "the key in the section [liquid] or in a [[solid]]"),
     (
         "units unit",
         "domain",
@@ -117,38 +81,14 @@ const WITHIN: &[(&str, &str, &str)] = &[
 
 /// Terms without a key in any table, with the reason.
 const NOWHERE: &[(&str, &str)] = &[
-    (
-        "viscosity kinematic_viscosity dynamic_viscosity mu nu reynolds viscous turbulence",
-        "liquids here are inviscid",
-    ),
-    (
-        "surface_tension tension contact_angle",
-        "liquids here have no surface tension",
-    ),
-    (
-        "friction friction_coefficient",
-        "solids and liquids slide along walls and obstacles without friction",
-    ),
-    (
-        "restitution bounce bounciness",
-        "the rebound of a solid follows from its stiffness and damping",
-    ),
-    (
-        "temperature heat thermal_conductivity specific_heat",
-        "temperature is not simulated",
-    ),
-    (
-        "speed_of_sound sound_speed compressibility bulk_modulus",
-        "liquids here are incompressible",
-    ),
-    (
-        "plasticity yield_stress fracture toughness",
-        "solids here are elastic",
-    ),
-    (
-        "units unit",
-        "all numbers are in m, kg, s; only mesh files have units, beside the file",
-    ),
+    ("viscosity kinematic_viscosity dynamic_viscosity mu nu reynolds viscous turbulence", "liquids here are inviscid"),
+    ("surface_tension tension contact_angle", "liquids here have no surface tension"),
+    ("friction friction_coefficient", "solids and liquids slide along walls and obstacles without friction"),
+    ("restitution bounce bounciness", "the rebound of a solid follows from its stiffness and damping"),
+    ("temperature heat thermal_conductivity specific_heat", "temperature is not simulated"),
+    ("speed_of_sound sound_speed compressibility bulk_modulus", "liquids here are incompressible"),
+    ("plasticity yield_stress fracture toughness", "solids here are elastic"),
+    ("units unit", "all numbers are in m, kg, s; only mesh files have units, beside the file"),
 ];
 
 /// Cure of an unknown key.

@@ -11,10 +11,7 @@ const RADII: std::ops::RangeInclusive<f64> = 0.6..=3.0;
 
 impl Default for SurfaceMesh {
     fn default() -> SurfaceMesh {
-        SurfaceMesh {
-            radius: 0.95,
-            smoothing: 20,
-        }
+        SurfaceMesh { radius: 0.95, smoothing: 20 }
     }
 }
 
@@ -23,11 +20,7 @@ pub(super) fn surface(root: &Table, has_markers: bool) -> Result<SurfaceMesh, Er
     let Some(place) = root.get("surface") else {
         return Ok(default);
     };
-    place.ensure(
-        has_markers,
-        "sets the mesh around markers, and the scene has none",
-        "remove it",
-    )?;
+    place.ensure(has_markers, "sets the mesh around markers, and the scene has none", "remove it")?;
     let table = place.table(&SURFACE)?;
     Ok(SurfaceMesh {
         radius: table.optional("radius", default.radius, |place| {

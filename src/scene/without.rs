@@ -27,12 +27,7 @@ pub fn override_option(setting: &str) -> [&str; 2] {
 /// Keys of an output of liquid.
 const LIQUID_OUTPUTS: [&str; 3] = ["particles", "fields", "surface"];
 /// Keys of the solver for liquid with solids.
-const COUPLED_SOLVER: [&str; 4] = [
-    "coupling",
-    "pressure_on_patches",
-    "formulation",
-    "face_areas",
-];
+const COUPLED_SOLVER: [&str; 4] = ["coupling", "pressure_on_patches", "formulation", "face_areas"];
 
 /// Removes keys from the tree of a scene. Returns what was removed because it refers to them, as keys and names.
 ///
@@ -41,10 +36,10 @@ const COUPLED_SOLVER: [&str; 4] = [
 pub(super) fn remove(root: &mut Node, keys: &[&str]) -> Result<Vec<String>, (usize, [String; 2])> {
     let [had_liquid, had_solids] = ["liquid", "solid"].map(|key| root.child(key).is_some());
     let solids_before = names(root);
-    let paths = keys.iter().enumerate().map(|(number, key)| {
-        root.find(key)
-            .map_err(|[problem, cure]| (number, [problem, cure]))
-    });
+    let paths = keys
+        .iter()
+        .enumerate()
+        .map(|(number, key)| root.find(key).map_err(|[problem, cure]| (number, [problem, cure])));
     let mut paths = paths.collect::<Result<Vec<_>, _>>()?;
     // From behind, so that indices stay valid.
     paths.sort();
@@ -78,13 +73,9 @@ pub(super) fn remove(root: &mut Node, keys: &[&str]) -> Result<Vec<String>, (usi
     }
     if no_liquid || no_solids {
         add("solver", &COUPLED_SOLVER);
-        let block =
-            |node: &Node| matches!(&node.content, Content::Text(word) if word == "block_jacobi");
+        let block = |node: &Node| matches!(&node.content, Content::Text(word) if word == "block_jacobi");
         let solver = root.child("solver");
-        if solver
-            .and_then(|solver| solver.child("preconditioner"))
-            .is_some_and(block)
-        {
+        if solver.and_then(|solver| solver.child("preconditioner")).is_some_and(block) {
             add("solver", &["preconditioner"]);
         }
     }
@@ -96,9 +87,7 @@ pub(super) fn remove(root: &mut Node, keys: &[&str]) -> Result<Vec<String>, (usi
         }
     }
     let left = names(root);
-    let lost = |name: &str| {
-        solids_before.iter().any(|solid| solid == name) && !left.iter().any(|solid| solid == name)
-    };
+    let lost = |name: &str| solids_before.iter().any(|solid| solid == name) && !left.iter().any(|solid| solid == name);
     gone.extend(remove_probes(root, no_liquid, &lost));
     Ok(gone)
 }
@@ -109,10 +98,7 @@ fn names(root: &Node) -> Vec<String> {
     let Some(Content::Array(solids)) = solids else {
         return Vec::new();
     };
-    solids
-        .iter()
-        .filter_map(|solid| Some(solid.label()?.to_owned()))
-        .collect()
+    solids.iter().filter_map(|solid| Some(solid.label()?.to_owned())).collect()
 }
 
 /// Removes probes of liquid that is gone, and of solids whose names are `lost`. Returns their names.
@@ -120,27 +106,20 @@ fn remove_probes(root: &mut Node, no_liquid: bool, lost: &dyn Fn(&str) -> bool) 
     let Content::Table(entries) = &mut root.content else {
         return Vec::new();
     };
-    let Some(Content::Array(probes)) = entries.get_mut("probe").map(|list| &mut list.content)
-    else {
+    let Some(Content::Array(probes)) = entries.get_mut("probe").map(|list| &mut list.content) else {
         return Vec::new();
     };
     let refers = |probe: &Node| {
         let of_liquid = LIQUID_MEASUREMENTS.iter().chain([&FORCE_MEASUREMENT]);
         let of_solid = MEASUREMENTS.iter().filter_map(|kind| {
             let measurement = probe.child(kind)?;
-            let solid = measurement
-                .child("solid")
-                .or_else(|| measurement.child("name"))?;
+            let solid = measurement.child("solid").or_else(|| measurement.child("name"))?;
             match &solid.content {
                 Content::Text(name) => Some(name.as_str()),
                 _ => None,
             }
         });
-        no_liquid
-            && of_liquid
-                .into_iter()
-                .any(|kind| probe.child(kind).is_some())
-            || of_solid.into_iter().any(lost)
+        no_liquid && of_liquid.into_iter().any(|kind| probe.child(kind).is_some()) || of_solid.into_iter().any(lost)
     };
     let mut gone = Vec::new();
     let mut number = 0;
@@ -187,19 +166,13 @@ impl Node {
     /// # Errors
     /// Problem and cure.
     fn find(&self, path: &str) -> Result<Vec<Step>, [String; 2]> {
-        let example = || {
-            "write a key of the scene, such as liquid, solid[0], solid.NAME or obstacle[1]"
-                .to_owned()
-        };
+        let example = || "write a key of the scene, such as liquid, solid[0], solid.NAME or obstacle[1]".to_owned();
         let (mut node, mut steps, mut rest) = (self, Vec::new(), path);
         loop {
             let at = &path[..path.len() - rest.len()].trim_end_matches('.');
             let absent = |name: &str, known: Vec<String>| {
                 Err([
-                    format!(
-                        "there is no `{name}` in {}",
-                        if at.is_empty() { "the scene" } else { at }
-                    ),
+                    format!("there is no `{name}` in {}", if at.is_empty() { "the scene" } else { at }),
                     match known.is_empty() {
                         true => example(),
                         false => format!("choose one of {}", known.join(", ")),
@@ -218,37 +191,26 @@ impl Node {
                 Content::Array(items) => {
                     let index = rest.strip_prefix('[').and_then(|rest| rest.split_once(']'));
                     let (index, after) = match index {
-                        Some((index, after)) => (
-                            index
-                                .parse()
-                                .ok()
-                                .filter(|&index: &usize| index < items.len()),
-                            after,
-                        ),
+                        Some((index, after)) => {
+                            (index.parse().ok().filter(|&index: &usize| index < items.len()), after)
+                        }
                         None => {
                             // The longest name, since names may have points.
                             let ends = |name: &str| {
                                 let after = rest.strip_prefix(name)?;
                                 (after.is_empty() || after.starts_with(['.', '['])).then_some(after)
                             };
-                            let named = (0..)
-                                .zip(items)
-                                .filter_map(|(index, item)| Some((index, ends(item.label()?)?)));
+                            let named =
+                                (0..).zip(items).filter_map(|(index, item)| Some((index, ends(item.label()?)?)));
                             let longest = named.min_by_key(|(_, after)| after.len());
-                            (
-                                longest.map(|(index, _)| index),
-                                longest.map_or(rest, |(_, after)| after),
-                            )
+                            (longest.map(|(index, _)| index), longest.map_or(rest, |(_, after)| after))
                         }
                     };
                     let Some(index) = index else {
-                        let known =
-                            (0..)
-                                .zip(items)
-                                .map(|(index, item): (usize, _)| match item.label() {
-                                    Some(name) => format!("{at}[{index}] ({name})"),
-                                    None => format!("{at}[{index}]"),
-                                });
+                        let known = (0..).zip(items).map(|(index, item): (usize, _)| match item.label() {
+                            Some(name) => format!("{at}[{index}] ({name})"),
+                            None => format!("{at}[{index}]"),
+                        });
                         return absent(rest, known.collect());
                     };
                     steps.push(Step::Index(index));
@@ -296,11 +258,7 @@ impl Node {
                     node.collect_values(&super::document::join(key, name), values);
                 }
             }
-            Content::Array(items)
-                if items
-                    .iter()
-                    .any(|item| matches!(item.content, Content::Table(_))) =>
-            {
+            Content::Array(items) if items.iter().any(|item| matches!(item.content, Content::Table(_))) => {
                 for (index, item) in items.iter().enumerate() {
                     item.collect_values(&format!("{key}[{index}]"), values);
                 }

@@ -61,12 +61,7 @@ impl Simulation {
     /// # Errors
     /// [`Error::Input`] for a script that does not exist, a rotation about a region without centre, keyframes that are not ascending or not finite,
     /// and another pose at the present time.
-    pub fn set_script(
-        &mut self,
-        solid: usize,
-        script: usize,
-        keyframes: Vec<Keyframe>,
-    ) -> Result<(), Error> {
+    pub fn set_script(&mut self, solid: usize, script: usize, keyframes: Vec<Keyframe>) -> Result<(), Error> {
         let name = format!("solid[{solid}].script[{script}]");
         let time = self.clock().time;
         let pins = self.scene.solids.get(solid).map(|solid| &solid.pins);
@@ -103,18 +98,11 @@ impl Simulation {
     ///
     /// # Errors
     /// [`Error::Input`] for other lengths than those of the state and for numbers that are not finite; errors of the device.
-    pub fn set_velocity(
-        &mut self,
-        faces: Option<[Vec<f64>; 3]>,
-        nodes: Option<Vec<[f64; 3]>>,
-    ) -> Result<(), Error> {
+    pub fn set_velocity(&mut self, faces: Option<[Vec<f64>; 3]>, nodes: Option<Vec<[f64; 3]>>) -> Result<(), Error> {
         let (mut state, mut carried) = (self.state()?, self.carried()?);
         if let Some(faces) = faces {
             for axis in Axis::ALL.map(Axis::index) {
-                let name = format!(
-                    "the velocities of the faces along {}",
-                    ["x", "y", "z"][axis]
-                );
+                let name = format!("the velocities of the faces along {}", ["x", "y", "z"][axis]);
                 let expected = state.velocity[axis].len();
                 ensure_velocities(&name, faces[axis].len(), expected, &faces[axis])?;
             }
@@ -142,24 +130,12 @@ fn fastest<'a>(values: impl IntoIterator<Item = &'a f64>) -> f64 {
     values.into_iter().fold(0.0, |most, v| most.max(v.abs()))
 }
 
-fn ensure_velocities(
-    name: &str,
-    length: usize,
-    expected: usize,
-    values: &[f64],
-) -> Result<(), Error> {
+fn ensure_velocities(name: &str, length: usize, expected: usize, values: &[f64]) -> Result<(), Error> {
     if length != expected {
         let problem = format!("there are {length}, and the simulation has {expected}");
-        return Err(Error::input(
-            name,
-            problem,
-            "change a copy of those of the present state",
-        ));
+        return Err(Error::input(name, problem, "change a copy of those of the present state"));
     }
-    match values
-        .iter()
-        .position(|v| !v.is_finite() || v.abs() > MAX_VELOCITY)
-    {
+    match values.iter().position(|v| !v.is_finite() || v.abs() > MAX_VELOCITY) {
         None => Ok(()),
         Some(at) => Err(Error::input(
             name,
@@ -170,12 +146,7 @@ fn ensure_velocities(
 }
 
 /// Checks new keyframes, and that they have the pose of the old ones at the present time (s).
-fn ensure_continuous(
-    scene: &Scene,
-    name: &str,
-    time: f64,
-    [old, new]: [&[Keyframe]; 2],
-) -> Result<(), Error> {
+fn ensure_continuous(scene: &Scene, name: &str, time: f64, [old, new]: [&[Keyframe]; 2]) -> Result<(), Error> {
     let refused = |problem: String, cure: &str| Err(Error::input(name, problem, cure));
     let finite = |frame: &Keyframe| {
         let numbers = [frame.time, frame.angle];

@@ -58,10 +58,7 @@ impl GpuContacts {
             return Ok(());
         };
         let mut recorder = Recorder::new(gpu);
-        let mut displacement = self
-            .displacement
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut displacement = self.displacement.lock().unwrap_or_else(PoisonError::into_inner);
         recorder.read(&buffers.displacement, &mut displacement);
         recorder.read(&buffers.velocity.words, &mut self.velocity);
         recorder.submit();
@@ -81,15 +78,8 @@ impl GpuContacts {
     }
 
     /// Displacements of the nodes now, m.
-    pub(super) fn displacement(
-        &self,
-        gpu: &Gpu,
-        buffers: &SolidBuffers,
-    ) -> Result<Vec<[f64; 3]>, Error> {
-        let mut displacement = self
-            .displacement
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+    pub(super) fn displacement(&self, gpu: &Gpu, buffers: &SolidBuffers) -> Result<Vec<[f64; 3]>, Error> {
+        let mut displacement = self.displacement.lock().unwrap_or_else(PoisonError::into_inner);
         let mut recorder = Recorder::new(gpu);
         recorder.read(&buffers.displacement, &mut displacement);
         recorder.submit();
@@ -107,13 +97,7 @@ impl GpuContacts {
         let active = vec![ActiveSurfaces::default(); displacement.len()];
         let contacts = Contacts::holding(solids, &self.field, displacement, &active, self.dt);
         let moved = solids.moved(displacement);
-        let touching = Touching {
-            solids,
-            contacts: &contacts,
-            positions: &moved.nodes,
-            dt: self.dt,
-            dx,
-        };
+        let touching = Touching { solids, contacts: &contacts, positions: &moved.nodes, dt: self.dt, dx };
         touching.rows(velocity, known)
     }
 }

@@ -6,8 +6,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::fields;
 use crate::fields::{
-    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, REPORT_WORDS,
-    SolidStep, SolverBuffers,
+    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, REPORT_WORDS, SolidStep, SolverBuffers,
 };
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
@@ -117,13 +116,7 @@ impl Capacity {
         let cells = clip.coupling().cells().map(|(cell, _)| quad(cell));
         let mut quads: Vec<usize> = cells.collect();
         quads.dedup();
-        Capacity {
-            clip: size.ample(),
-            coupling: CouplingSize {
-                quads: ample(quads.len()),
-                pairs: ample(pairs.len()),
-            },
-        }
+        Capacity { clip: size.ample(), coupling: CouplingSize { quads: ample(quads.len()), pairs: ample(pairs.len()) } }
     }
 
     /// The larger of both, per list.
@@ -149,10 +142,7 @@ fn probed(scene: &Scene) -> Vec<&'static str> {
 
 /// Pressure gradient on patches: the hydrostatic one, Pa/m, and the face apertures when the last pressure is used.
 fn slopes<'a>(scene: &Scene, liquid: &'a GpuLiquid) -> (DVec3, Option<OpenFaces<'a>>) {
-    let faces = OpenFaces {
-        level: &liquid.buffers.level,
-        open: &liquid.buffers.open,
-    };
+    let faces = OpenFaces { level: &liquid.buffers.level, open: &liquid.buffers.open };
     let follows = scene.solver.pressure_on_patches == Slopes::Gradient;
     let at_rest = liquid.settings.density * scene.domain.gravity;
     (at_rest, follows.then_some(faces))
@@ -194,13 +184,7 @@ impl CouplingStages {
             move_solid: stages::wet_bodies(gpu, fields, &liquid.solver, buffers)?,
             closed_components: Seal::new(gpu, &liquid.solver, nodes, buffers)?,
             scheme,
-            separated_flux: stages::separated_flux(
-                gpu,
-                &liquid.buffers,
-                &liquid.solver,
-                buffers,
-                &fields.velocity,
-            )?,
+            separated_flux: stages::separated_flux(gpu, &liquid.buffers, &liquid.solver, buffers, &fields.velocity)?,
             diagnose: stages::diagnose_coupling(gpu, &liquid.solver, buffers, correction)?,
             patch_pressure,
         })
@@ -249,11 +233,7 @@ impl GpuCoupling {
         let probed = probed.map(|label| Readback::new(gpu, label, words));
         let coupling = GpuCoupling {
             probed: probed.collect::<Result<_, _>>()?,
-            moved: Readback::new(
-                gpu,
-                "coupling.displacement",
-                2 * solids.buffers.plan.n_nodes,
-            )?,
+            moved: Readback::new(gpu, "coupling.displacement", 2 * solids.buffers.plan.n_nodes)?,
             clip,
             capacity,
             on_device,
@@ -275,18 +255,8 @@ impl GpuCoupling {
     }
 
     /// Binds the liquid stages that depend on the clipping.
-    fn bind_liquid(
-        &self,
-        gpu: &Gpu,
-        liquid: &mut GpuLiquid,
-        solids: &GpuSolids,
-    ) -> Result<(), Error> {
-        let GpuLiquid {
-            buffers,
-            solver,
-            stages: liquid_stages,
-            ..
-        } = liquid;
+    fn bind_liquid(&self, gpu: &Gpu, liquid: &mut GpuLiquid, solids: &GpuSolids) -> Result<(), Error> {
+        let GpuLiquid { buffers, solver, stages: liquid_stages, .. } = liquid;
         let velocity = &solids.buffers.velocity;
         let walls = Some((&self.on_device, Some(velocity)));
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
@@ -301,9 +271,7 @@ impl GpuCoupling {
     pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
         let cell_forces = &self.buffers.partials;
         let within = self.stages.patch_pressure.as_ref();
-        let buffers = [cell_forces]
-            .into_iter()
-            .chain(within.map(|p| &p.correction));
+        let buffers = [cell_forces].into_iter().chain(within.map(|p| &p.correction));
         let mut to = Recorder::new(gpu);
         for (buffer, readback) in buffers.zip(&mut self.probed) {
             to.read_part(&buffer.words, 0, readback);
@@ -347,8 +315,7 @@ impl GpuCoupling {
             self.capacity = self.capacity.joined(capacity);
             let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
             self.on_device = self.on_device.resized(gpu, self.capacity.clip)?;
-            self.buffers =
-                CouplingBuffers::new(gpu, liquid_system, solid_system, self.capacity.coupling)?;
+            self.buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, self.capacity.coupling)?;
             let with = (&self.on_device, &self.buffers);
             let weak = self.weak.as_ref();
             self.stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak)?;
@@ -358,8 +325,7 @@ impl GpuCoupling {
         let density = liquid.settings.density;
         // Before a sub-step only the pairs are used, not the mass rate of a cell.
         let dt = if span > 0.0 { span } else { 1.0 };
-        self.buffers
-            .write(gpu, &pairs, density * grid.dx.powi(3) / dt)?;
+        self.buffers.write(gpu, &pairs, density * grid.dx.powi(3) / dt)?;
         let ClipTime::SubStep { dt_last, .. } = at else {
             liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
             self.on_device.write(gpu, &self.clip, triangles, true);
@@ -368,11 +334,7 @@ impl GpuCoupling {
         self.on_device.write(gpu, &self.clip, triangles, false);
         if self.stages.patch_pressure.is_some() {
             let moments = self.moments(&grid, triangles);
-            let scale = if dt_last > 0.0 {
-                density / dt_last
-            } else {
-                0.0
-            };
+            let scale = if dt_last > 0.0 { density / dt_last } else { 0.0 };
             let at_rest = slopes(scene, liquid).0;
             if let Some(patch_pressure) = &mut self.stages.patch_pressure {
                 patch_pressure.write(gpu, &pairs, &moments, (at_rest, scale));
@@ -388,13 +350,7 @@ impl GpuCoupling {
     }
 
     /// Writes the pressure of a state, if patches use the last pressure.
-    pub(super) fn write_pressure(
-        &self,
-        gpu: &Gpu,
-        scene: &Scene,
-        state: &State,
-        liquid: Option<&GpuLiquid>,
-    ) {
+    pub(super) fn write_pressure(&self, gpu: &Gpu, scene: &Scene, state: &State, liquid: Option<&GpuLiquid>) {
         let Some(liquid) = liquid.filter(|_| self.follows_pressure()) else {
             return;
         };
@@ -474,10 +430,7 @@ impl GpuCoupling {
         let timing = to.submit();
         let report = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let closed_components = readbacks.components.wait(gpu)?[0];
-        let touch = ContactState {
-            touching: report.touching,
-            closed_components,
-        };
+        let touch = ContactState { touching: report.touching, closed_components };
         Ok((touch, timing.wait()?))
     }
 
@@ -502,31 +455,14 @@ impl GpuCoupling {
             };
             let (polynomial, recorder) = (solids.polynomial(dt), Recorder::timed(gpu));
             let rows_of = (&mut rows as RowsOf, [MOST_MEETINGS, MOST_COUPLED]);
-            let (outcome, contact, times) =
-                together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
-            let solved = Solved {
-                parts: outcome.parts(touch.closed_components),
-                condensed: outcome.condensed,
-                contact,
-            };
+            let (outcome, contact, times) = together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
+            let solved =
+                Solved { parts: outcome.parts(touch.closed_components), condensed: outcome.condensed, contact };
             return Ok((solved, times));
         }
-        let CouplingStages {
-            closed_components,
-            separated_flux,
-            ..
-        } = &self.stages;
-        let with = (
-            Some(closed_components),
-            separated_flux.as_ref(),
-            together.tolerance(),
-        );
-        let (
-            LiquidSolve {
-                buffers, solver, ..
-            },
-            mut rounds,
-        ) = liquid.rounds(gpu, dt, with);
+        let CouplingStages { closed_components, separated_flux, .. } = &self.stages;
+        let with = (Some(closed_components), separated_flux.as_ref(), together.tolerance());
+        let (LiquidSolve { buffers, solver, .. }, mut rounds) = liquid.rounds(gpu, dt, with);
         let at = coupled((buffers, solver), solids, &self.buffers);
         let mut recorder = Recorder::timed(gpu);
         if let Some(rounds) = &rounds {
@@ -535,27 +471,18 @@ impl GpuCoupling {
         let mut before = None;
         let mut times = StageTimes::new();
         if self.damping_only {
-            let undamped = SolidStep {
-                damped: 0.0,
-                ..step
-            };
+            let undamped = SolidStep { damped: 0.0, ..step };
             solids.record_other_system(gpu, &mut recorder, undamped, false);
             let polynomial = solids.polynomial_for(|_| [1.0 / dt, dt]);
-            let (outcome, contact, mut seconds) =
-                solids.solve_in_contact(gpu, recorder, answer, &polynomial)?;
+            let (outcome, contact, mut seconds) = solids.solve_in_contact(gpu, recorder, answer, &polynomial)?;
             times.append(&mut seconds);
             before = Some((outcome.status, contact));
             recorder = Recorder::timed(gpu);
-            let inelastic = SolidStep {
-                elastic: 0.0,
-                ..step
-            };
+            let inelastic = SolidStep { elastic: 0.0, ..step };
             solids.record_other_system(gpu, &mut recorder, inelastic, true);
         }
         let polynomial = match self.damping_only {
-            true => {
-                solids.polynomial_for(|body| [1.0 / dt + body.mass_damping, body.stiffness_damping])
-            }
+            true => solids.polynomial_for(|body| [1.0 / dt + body.mass_damping, body.stiffness_damping]),
             false => solids.polynomial(dt),
         };
         let mut iterations = 0;
@@ -564,19 +491,17 @@ impl GpuCoupling {
             let (mut outcome, times) = match &mut rounds {
                 None => together.solve(gpu, recorder, at, &polynomial, again)?,
                 Some(rounds) => {
-                    let (form, recorder, mut times) =
-                        together.prepare(gpu, recorder, at, &polynomial)?;
+                    let (form, recorder, mut times) = together.prepare(gpu, recorder, at, &polynomial)?;
                     let mut before = 0;
-                    let (outcome, restoring) =
-                        rounds.search(recorder, false, |recorder, round, update| {
-                            let with = (round.tolerance, again || round.number > 1);
-                            let (mut outcome, mut seconds, updated) =
-                                together.solve_then(gpu, recorder, &form, with, update)?;
-                            times.append(&mut seconds);
-                            before += outcome.iterations;
-                            outcome.iterations = before;
-                            Ok((outcome, updated))
-                        })?;
+                    let (outcome, restoring) = rounds.search(recorder, false, |recorder, round, update| {
+                        let with = (round.tolerance, again || round.number > 1);
+                        let (mut outcome, mut seconds, updated) =
+                            together.solve_then(gpu, recorder, &form, with, update)?;
+                        times.append(&mut seconds);
+                        before += outcome.iterations;
+                        outcome.iterations = before;
+                        Ok((outcome, updated))
+                    })?;
                     restoring.submit();
                     (outcome, times)
                 }
@@ -592,8 +517,7 @@ impl GpuCoupling {
             push: |pass: &mut Pass| together.record_push(pass, n_nodes),
             together: true,
         };
-        let (outcome, mut contact, mut seconds) =
-            solids.iterate_active_set(gpu, recorder, answer, solve, search)?;
+        let (outcome, mut contact, mut seconds) = solids.iterate_active_set(gpu, recorder, answer, solve, search)?;
         times.append(&mut seconds);
         let mut parts = outcome.parts(touch.closed_components);
         if let Some((status, before)) = before {
@@ -609,11 +533,7 @@ impl GpuCoupling {
             liquid.n_separated = report.cells;
             liquid.separation = Some(report);
         }
-        let solved = Solved {
-            parts,
-            condensed: outcome.condensed,
-            contact,
-        };
+        let solved = Solved { parts, condensed: outcome.condensed, contact };
         Ok((solved, times))
     }
 

@@ -4,8 +4,8 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::fields::pressure_system::BALLISTIC;
 use crate::fields::{
-    ExchangeBuffers, Exchanged, LevelBuffers, LevelExchange, LiquidBuffers, LiquidPlan, Report,
-    Sinks, SolverBuffers, SourceStep, Sources, Step,
+    ExchangeBuffers, Exchanged, LevelBuffers, LevelExchange, LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers,
+    SourceStep, Sources, Step,
 };
 use crate::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
@@ -188,23 +188,11 @@ impl GpuLiquid {
         let buffers = LiquidBuffers::new(gpu, plan)?;
         let level = LevelBuffers::new(gpu, plan)?;
         let solver = SolverBuffers::new(gpu, &scene.grid(), scene.solver.precision)?;
-        let (sources, sinks) = (
-            Sources::new(gpu, &buffers, &taps)?,
-            Sinks::new(gpu, &buffers, &taps)?,
-        );
+        let (sources, sinks) = (Sources::new(gpu, &buffers, &taps)?, Sinks::new(gpu, &buffers, &taps)?);
         let exchange = LevelExchange::new(gpu, &buffers, &taps, scene.domain.open)?;
-        let taps_on_device = ExchangeBuffers {
-            sources: sources.as_ref(),
-            sinks: sinks.as_ref(),
-            level: exchange.as_ref(),
-        };
-        let stages = LiquidStages::new(
-            gpu,
-            scene,
-            (&buffers, level.as_ref()),
-            &solver,
-            taps_on_device,
-        )?;
+        let taps_on_device =
+            ExchangeBuffers { sources: sources.as_ref(), sinks: sinks.as_ref(), level: exchange.as_ref() };
+        let stages = LiquidStages::new(gpu, scene, (&buffers, level.as_ref()), &solver, taps_on_device)?;
         Ok(Some(GpuLiquid {
             settings,
             n_markers,
@@ -266,10 +254,7 @@ impl GpuLiquid {
             level.write_markers(gpu, state);
             level.write_components(gpu, state);
         }
-        let step = Step {
-            n_markers: self.n_markers as u32,
-            ..step
-        };
+        let step = Step { n_markers: self.n_markers as u32, ..step };
         gpu.upload(&self.buffers.step, &[step]);
         if self.buffers.markers.is_none() {
             // A fixed surface does not move, so band and volume are constant.
@@ -281,13 +266,7 @@ impl GpuLiquid {
     }
 
     /// Reads the liquid's part of the state. `dt_last`: length of the last sub-step, s.
-    pub(super) fn read_state(
-        &self,
-        gpu: &Gpu,
-        grid: &Grid,
-        dt_last: f64,
-        state: &mut State,
-    ) -> Result<(), Error> {
+    pub(super) fn read_state(&self, gpu: &Gpu, grid: &Grid, dt_last: f64, state: &mut State) -> Result<(), Error> {
         let alive = self.buffers.read_state(gpu, self.n_markers, state)?;
         if let Some(level) = &self.level {
             level.read_markers(gpu, &alive, state)?;
@@ -312,19 +291,11 @@ impl GpuLiquid {
             (0..padded.len()).map(lane).collect::<Vec<bool>>()
         });
         let mut potential = self.solver.potential.download(gpu)?;
-        for (potential, _) in potential
-            .iter_mut()
-            .zip(&active)
-            .filter(|(_, active)| !**active)
-        {
+        for (potential, _) in potential.iter_mut().zip(&active).filter(|(_, active)| !**active) {
             *potential = 0.0;
         }
         // Pa per m/s of potential: rho dx / dt.
-        let pascal = if dt_last > 0.0 {
-            self.settings.density * grid.dx / dt_last
-        } else {
-            0.0
-        };
+        let pascal = if dt_last > 0.0 { self.settings.density * grid.dx / dt_last } else { 0.0 };
         state.pressure = padded.unpad(grid.cells, &potential, |potential| pascal * potential);
         state.active = padded.unpad(grid.cells, &active, |active| active);
         let moves = self.buffers.plan.effects.markers;
@@ -362,12 +333,7 @@ impl GpuLiquid {
     }
 
     /// Starts a sub-step after the state `head`: sets the running sources and makes room for their markers.
-    pub(super) fn begin(
-        &mut self,
-        gpu: &Gpu,
-        head: &State,
-        time_step: TimeStep,
-    ) -> Result<(), Error> {
+    pub(super) fn begin(&mut self, gpu: &Gpu, head: &State, time_step: TimeStep) -> Result<(), Error> {
         self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
         self.inflow = self.inflow(self.running, time_step.dt);
@@ -409,8 +375,7 @@ impl GpuLiquid {
         match self.level {
             Some(_) => {
                 let all = 0..self.taps.n_sources() as u32;
-                all.map(|source| self.taps.inflow(sources, source, dt))
-                    .sum()
+                all.map(|source| self.taps.inflow(sources, source, dt)).sum()
             }
             None => dt * self.taps.flux(sources.running),
         }
@@ -425,13 +390,7 @@ impl GpuLiquid {
         (seal, flux, tolerance): (Option<&'a Seal>, Option<&'a Dispatches>, f64),
     ) -> (LiquidSolve<'a>, Option<Rounds<'a>>) {
         let (buffers, solver) = (&self.buffers, &self.solver);
-        let LiquidStages {
-            active_cells,
-            closed_components,
-            solve,
-            separation,
-            ..
-        } = &mut self.stages;
+        let LiquidStages { active_cells, closed_components, solve, separation, .. } = &mut self.stages;
         let rounds = separation.as_mut().map(|stage| Rounds {
             gpu,
             fields: (buffers, solver),
@@ -441,17 +400,10 @@ impl GpuLiquid {
             tolerance,
             pascal: self.settings.density * buffers.plan.grid.dx / dt,
             dt,
-            report: SeparationReport {
-                cells: self.n_separated,
-                ..SeparationReport::default()
-            },
+            report: SeparationReport { cells: self.n_separated, ..SeparationReport::default() },
             settled: true,
         });
-        let of_solve = LiquidSolve {
-            buffers,
-            solver,
-            solve,
-        };
+        let of_solve = LiquidSolve { buffers, solver, solve };
         (of_solve, rounds)
     }
 
@@ -472,11 +424,7 @@ impl GpuLiquid {
         let Some(markers) = &self.buffers.markers else {
             return Ok(());
         };
-        let slots = Slots {
-            capacity: markers.len(),
-            used: self.n_markers,
-            alive: self.alive,
-        };
+        let slots = Slots { capacity: markers.len(), used: self.n_markers, alive: self.alive };
         let of_sources = self.sources.as_ref().map_or(0, Sources::slots);
         if of_sources > 0 && slots.alive + of_sources > slots.capacity {
             return Err(Error::Stage {
@@ -489,9 +437,7 @@ impl GpuLiquid {
             });
         }
         let wanted = match self.level {
-            Some(_) => {
-                slots.most_are_dead() || slots.lack(of_sources + slots.for_seeds(self.seeded))
-            }
+            Some(_) => slots.most_are_dead() || slots.lack(of_sources + slots.for_seeds(self.seeded)),
             None => slots.lack(of_sources),
         };
         if !wanted {
@@ -515,12 +461,7 @@ impl GpuLiquid {
 
     /// Seeds the markers for which the sub-step after the state of number `step` had no slots, where deleted markers have some. The
     /// markers and their order are those of a run with more slots.
-    pub(super) fn seed_rest(
-        &mut self,
-        gpu: &Gpu,
-        report: &mut Report,
-        step: u64,
-    ) -> Result<(), Error> {
+    pub(super) fn seed_rest(&mut self, gpu: &Gpu, report: &mut Report, step: u64) -> Result<(), Error> {
         let Some(level) = self.level.as_ref().filter(|_| report.missing > 0) else {
             return Ok(());
         };
@@ -593,19 +534,10 @@ impl GpuLiquid {
 
     /// Exchange of markers in the sub-step, of which so many were kept. It changes the controlled volume.
     fn exchange_markers(&mut self, report: &Report, kept: usize) -> Exchange {
-        let seeded = Seeded {
-            emitted: report.emitted.into(),
-            filled: report.filled.into(),
-        };
-        let passed = reference::Passed {
-            left: report.left.into(),
-            sunk: report.sunk.into(),
-            seeded,
-            kept,
-        };
+        let seeded = Seeded { emitted: report.emitted.into(), filled: report.filled.into() };
+        let passed = reference::Passed { left: report.left.into(), sunk: report.sunk.into(), seeded, kept };
         let grid = &self.buffers.plan.grid;
-        let ([_, volume_0], exchange) =
-            reference::exchanged_volume(grid, self.volume_0, self.inflow, passed);
+        let ([_, volume_0], exchange) = reference::exchanged_volume(grid, self.volume_0, self.inflow, passed);
         self.volume_0 = volume_0;
         exchange
     }
@@ -614,15 +546,7 @@ impl GpuLiquid {
     fn exchange_level(&mut self, report: &Report) -> Exchange {
         let one = self.buffers.plan.grid.cell_volume();
         let spray = |markers: u32| f64::from(markers) / MARKERS_PER_CELL as f64;
-        let Exchanged {
-            left_spray,
-            sunk_spray,
-            left,
-            sunk,
-            filled,
-            limited,
-            liquid,
-        } = report.exchanged;
+        let Exchanged { left_spray, sunk_spray, left, sunk, filled, limited, liquid } = report.exchanged;
         let exchange = Exchange {
             left: report.left.into(),
             sunk: report.sunk.into(),
@@ -643,27 +567,18 @@ impl GpuLiquid {
 
     /// Parameters of the sub-step after the state `head`.
     pub(super) fn step_numbers(&self, scene: &Scene, head: &State, time_step: TimeStep) -> Step {
-        let TimeStep {
-            dt, control_time, ..
-        } = time_step;
+        let TimeStep { dt, control_time, .. } = time_step;
         let inflow = self.inflow(self.running_after(head), dt);
         let Scene { domain, solver, .. } = scene;
         let (grid, effects) = (scene.grid(), &self.buffers.plan.effects);
         Step {
-            gravity: domain
-                .mean_gravity([head.time, head.time + dt])
-                .as_vec3()
-                .to_array(),
+            gravity: domain.mean_gravity([head.time, head.time + dt]).as_vec3().to_array(),
             dt: dt as f32,
             size: grid.size().as_vec3().to_array(),
             dx: grid.dx as f32,
             inv_dx: (1.0 / grid.dx) as f32,
             control_time: control_time.min(f64::from(f32::MAX)) as f32,
-            volume_0: if effects.volume_control || effects.level {
-                (self.volume_0 + inflow) as f32
-            } else {
-                0.0
-            },
+            volume_0: if effects.volume_control || effects.level { (self.volume_0 + inflow) as f32 } else { 0.0 },
             density: self.settings.density as f32,
             marker_radius: self.settings.marker_radius as f32,
             theta_floor: solver.theta_floor as f32,
@@ -682,10 +597,7 @@ impl LiquidStages {
         taps: ExchangeBuffers,
     ) -> Result<LiquidStages, Error> {
         let effects = &liquid.plan.effects;
-        let free_surface = FreeSurface {
-            theta_floor: scene.solver.theta_floor,
-            open_sides: effects.open_sides,
-        };
+        let free_surface = FreeSurface { theta_floor: scene.solver.theta_floor, open_sides: effects.open_sides };
         let active_cells = PressureSystem::new(
             gpu,
             solver,
@@ -694,13 +606,7 @@ impl LiquidStages {
             liquid.within(),
             free_surface,
         )?;
-        let solve = PressureSolver::new(
-            gpu,
-            solver,
-            &liquid.velocity_next,
-            liquid.solve_open(),
-            &scene.solver,
-        )?;
+        let solve = PressureSolver::new(gpu, solver, &liquid.velocity_next, liquid.solve_open(), &scene.solver)?;
         let probe = || {
             let probe = Probe::new(gpu, liquid, solver, probes(scene))?;
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
@@ -713,10 +619,9 @@ impl LiquidStages {
             own: stages::liquid_stages(gpu, liquid, solver, level, taps)?,
             beside_bodies: match effects.clips() {
                 true => Vec::new(),
-                false => vec![
-                    stages::extrapolate(gpu, liquid, None)?,
-                    stages::diagnose(gpu, (liquid, level), solver, None)?,
-                ],
+                false => {
+                    vec![stages::extrapolate(gpu, liquid, None)?, stages::diagnose(gpu, (liquid, level), solver, None)?]
+                }
             },
             active_cells,
             closed_components: Components::new(gpu, solver)?,
@@ -743,11 +648,7 @@ mod tests {
 
     #[test]
     fn slots_of_dead_markers_are_freed_when_they_are_needed_or_many() {
-        let slots = |used, alive| Slots {
-            capacity: 400_000,
-            used,
-            alive,
-        };
+        let slots = |used, alive| Slots { capacity: 400_000, used, alive };
         // Free slots suffice, exactly and not.
         assert!(!slots(300_000, 200_000).lack(100_000));
         assert!(slots(300_000, 200_000).lack(100_001));

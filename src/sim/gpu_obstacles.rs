@@ -20,29 +20,16 @@ pub(super) struct GpuObstacles {
 impl GpuObstacles {
     /// Allocates and compiles, including the liquid stages that depend on the clipping. The state must be written
     /// afterwards.
-    pub(super) fn new(
-        gpu: &Gpu,
-        clip: SolidClip,
-        liquid: &mut GpuLiquid,
-    ) -> Result<GpuObstacles, Error> {
+    pub(super) fn new(gpu: &Gpu, clip: SolidClip, liquid: &mut GpuLiquid) -> Result<GpuObstacles, Error> {
         let grid = liquid.buffers.plan.grid;
         let size = ClipSize::of(&grid, &clip, 0).ample();
         let on_device = ClipBuffers::new(gpu, &grid, size)?;
         let stage = bind(gpu, liquid, &on_device)?;
-        Ok(GpuObstacles {
-            clip,
-            on_device,
-            stage,
-        })
+        Ok(GpuObstacles { clip, on_device, stage })
     }
 
     /// Writes the clipping of a state at a time, s.
-    pub(super) fn write(
-        &mut self,
-        gpu: &Gpu,
-        liquid: &mut GpuLiquid,
-        time: f64,
-    ) -> Result<(), Error> {
+    pub(super) fn write(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64) -> Result<(), Error> {
         self.move_to(gpu, liquid, time, 0.0)?;
         liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
         self.on_device.write(gpu, &self.clip, &[], true);
@@ -54,25 +41,13 @@ impl GpuObstacles {
     ///
     /// # Errors
     /// [`Error::Limit`] when a larger capacity exceeds the adapter's limits.
-    pub(super) fn update_clip(
-        &mut self,
-        gpu: &Gpu,
-        liquid: &mut GpuLiquid,
-        time: f64,
-        dt: f64,
-    ) -> Result<(), Error> {
+    pub(super) fn update_clip(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64, dt: f64) -> Result<(), Error> {
         self.move_to(gpu, liquid, time, dt)?;
         self.on_device.write(gpu, &self.clip, &[], false);
         Ok(())
     }
 
-    fn move_to(
-        &mut self,
-        gpu: &Gpu,
-        liquid: &mut GpuLiquid,
-        time: f64,
-        dt: f64,
-    ) -> Result<(), Error> {
+    fn move_to(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64, dt: f64) -> Result<(), Error> {
         self.clip.move_obstacles(time, dt);
         if !self.on_device.fits(&self.clip) {
             let grid = &liquid.buffers.plan.grid;
@@ -87,12 +62,7 @@ impl GpuObstacles {
 
 /// Binds the liquid stages that depend on the clipping, and returns the stage `clip`.
 fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Dispatches, Error> {
-    let GpuLiquid {
-        buffers,
-        solver,
-        stages,
-        ..
-    } = liquid;
+    let GpuLiquid { buffers, solver, stages, .. } = liquid;
     stages.beside_bodies = vec![
         crate::stages::extrapolate(gpu, buffers, Some((clip, None)))?,
         crate::stages::diagnose(gpu, (buffers, liquid.level.as_ref()), solver, None)?,

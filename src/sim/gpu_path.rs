@@ -6,9 +6,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{NodeReadback, Solids};
 use crate::fields::Step;
-use crate::geometry::{
-    self, ContactField, CutCells, ObstacleCut, Running, SolidClip, SourcesAndSinks,
-};
+use crate::geometry::{self, ContactField, CutCells, ObstacleCut, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Grid;
 use crate::reference::{self, StepLimits, TimeStep};
@@ -73,11 +71,7 @@ impl GpuPath {
     }
 
     /// Opens the device for a scene with its solids.
-    pub(super) fn with(
-        scene: &Scene,
-        solids: &Solids,
-        choice: &AdapterChoice,
-    ) -> Result<GpuPath, Error> {
+    pub(super) fn with(scene: &Scene, solids: &Solids, choice: &AdapterChoice) -> Result<GpuPath, Error> {
         check_kernels(scene)?;
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
@@ -153,10 +147,7 @@ impl GpuPath {
         let coupling_readbacks = || GpuCoupling::readbacks(&gpu);
         let readbacks = Readbacks {
             solids: solids.as_ref().map(|_| solid_readbacks()).transpose()?,
-            coupling: coupling
-                .as_ref()
-                .map(|_| coupling_readbacks())
-                .transpose()?,
+            coupling: coupling.as_ref().map(|_| coupling_readbacks()).transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
             squeeze: SqueezeReadbacks::at_start(&gpu, scene, solids.as_ref())?,
         };
@@ -180,16 +171,10 @@ impl GpuPath {
     /// # Errors
     /// [`Error::Input`] when its markers exceed the capacity.
     pub fn write_state(&mut self, state: &State) -> Result<(), Error> {
-        if let Some(room) = self
-            .marker_room()
-            .filter(|room| *room < state.markers.len())
-        {
+        if let Some(room) = self.marker_room().filter(|room| *room < state.markers.len()) {
             return Err(Error::input(
                 self.scene.file.display().to_string(),
-                format!(
-                    "the state has {} markers, more than the capacity of {room}",
-                    state.markers.len()
-                ),
+                format!("the state has {} markers, more than the capacity of {room}", state.markers.len()),
                 "resume with the original scene",
             ));
         }
@@ -327,25 +312,14 @@ impl GpuPath {
             Some(coupling) => coupling.probed(&self.gpu)?,
             None => Vec::new(),
         };
-        let nodes = NodeReadback {
-            displacement,
-            velocity,
-            forces,
-            time: self.head.time,
-            dt: self.head.dt_last,
-        };
+        let nodes = NodeReadback { displacement, velocity, forces, time: self.head.time, dt: self.head.dt_last };
         Ok((values, nodes))
     }
 
     /// Displacements of all nodes, m; empty without solids.
     pub(super) fn displacement(&self) -> Result<Vec<[f64; 3]>, Error> {
         let of = |solids: &GpuSolids| solids.displacement(&self.gpu);
-        Ok(self
-            .solids
-            .as_ref()
-            .map(of)
-            .transpose()?
-            .unwrap_or_default())
+        Ok(self.solids.as_ref().map(of).transpose()?.unwrap_or_default())
     }
 
     /// The length of the next sub-step.

@@ -4,17 +4,14 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Body, Bounds, Solids};
 use crate::fields;
-use crate::fields::{
-    ObstacleBuffers, SolidBuffers, SolidPlan, SolidRows, SolidStep, SolidSystemBuffers, variant,
-};
+use crate::fields::{ObstacleBuffers, SolidBuffers, SolidPlan, SolidRows, SolidStep, SolidSystemBuffers, variant};
 use crate::geometry::{ContactField, ObstacleCut};
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::linalg::Row;
 use crate::reference::{MAX_SOLVES, MOST_HALVINGS, MOST_MEETINGS};
 use crate::scene::Scene;
 use crate::solver::{
-    ContactSearch, ObstacleField, Outcome, Polynomial, RowsOf, SolidSolver, SolidSystem,
-    check_contact,
+    ContactSearch, ObstacleField, Outcome, Polynomial, RowsOf, SolidSolver, SolidSystem, check_contact,
 };
 use crate::stages;
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
@@ -74,15 +71,9 @@ struct ContactQuery<'s, 'a> {
 
 impl ContactQuery<'_, '_> {
     /// Runs kernels with a parameter and initial counters. Waits for the counters and returns them.
-    fn run(
-        &mut self,
-        counters: [u32; 2],
-        parameter: u32,
-        record: impl FnOnce(&mut Pass),
-    ) -> Result<[u32; 2], Error> {
+    fn run(&mut self, counters: [u32; 2], parameter: u32, record: impl FnOnce(&mut Pass)) -> Result<[u32; 2], Error> {
         let mut to = Recorder::timed(self.gpu);
-        self.gpu
-            .upload(self.words, &[counters[0], counters[1], parameter]);
+        self.gpu.upload(self.words, &[counters[0], counters[1], parameter]);
         to.stage(Stage::Solve.name(), record);
         to.read(self.words, self.readback);
         let timing = to.submit();
@@ -132,11 +123,7 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
         scripts: effects.scripts,
         obstacles: effects.obstacles,
         n_moving: match effects.pushing_obstacles {
-            true => scene
-                .obstacles
-                .iter()
-                .filter(|it| it.motion.is_some())
-                .count(),
+            true => scene.obstacles.iter().filter(|it| it.motion.is_some()).count(),
             false => 0,
         },
         real: variant(f64, scene.solver.precision).real,
@@ -158,12 +145,7 @@ impl GpuSolids {
     /// Allocates and compiles. Obstacles and state must be written afterwards.
     pub(super) fn new(gpu: &Gpu, scene: &Scene, solids: Solids) -> Result<GpuSolids, Error> {
         let plan = solid_plan(scene, &solids, gpu.has_f64());
-        check_contact(
-            &solids,
-            scene.liquid.is_some(),
-            &scene.solver,
-            gpu.has_f64(),
-        )?;
+        check_contact(&solids, scene.liquid.is_some(), &scene.solver, gpu.has_f64())?;
         let rows = SolidRows::new(&solids)?;
         let buffers = SolidBuffers::new(gpu, plan, &solids)?;
         let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;
@@ -173,10 +155,7 @@ impl GpuSolids {
             .level
             .as_ref()
             .zip(obstacles.as_ref())
-            .map(|(level, obstacles)| ObstacleField {
-                level,
-                solid_distance: &obstacles.solid_distance,
-            });
+            .map(|(level, obstacles)| ObstacleField { level, solid_distance: &obstacles.solid_distance });
         let stages = SolidStages {
             ballistic: stages::ballistic_bodies(gpu, &buffers, field)?,
             move_solid: stages::move_solid(gpu, &buffers)?,
@@ -271,12 +250,7 @@ impl GpuSolids {
         answer: &mut Readback<u32>,
         polynomial: &Polynomial,
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
-        let GpuSolids {
-            buffers,
-            system,
-            stages,
-            ..
-        } = self;
+        let GpuSolids { buffers, system, stages, .. } = self;
         if let Some(contacts) = &self.contacts {
             let mut rows = |velocity: &[f64], known: &[Row]| {
                 let displacement = contacts.displacement(gpu, buffers)?;
@@ -291,18 +265,12 @@ impl GpuSolids {
         let mut iterations = 0;
         let solve = |recorder, _| {
             let fields = buffers;
-            let (mut outcome, times) = stages
-                .solve
-                .solve(gpu, recorder, system, fields, polynomial)?;
+            let (mut outcome, times) = stages.solve.solve(gpu, recorder, system, fields, polynomial)?;
             iterations += outcome.iterations;
             outcome.iterations = iterations;
             Ok((outcome, outcome.status, times))
         };
-        let search = Search {
-            search: stages.system.search(),
-            push: |_: &mut Pass| (),
-            together: false,
-        };
+        let search = Search { search: stages.system.search(), push: |_: &mut Pass| (), together: false };
         self.iterate_active_set(gpu, recorder, answer, solve, search)
     }
 
@@ -314,18 +282,9 @@ impl GpuSolids {
         mut recorder: Recorder,
         answer: &mut Readback<u32>,
         mut solve: impl FnMut(Recorder, u32) -> Result<(Solution, SolveStatus, StageTimes), Error>,
-        Search {
-            search,
-            push,
-            together,
-        }: Search<impl Fn(&mut Pass)>,
+        Search { search, push, together }: Search<impl Fn(&mut Pass)>,
     ) -> Result<(Solution, ContactReport, StageTimes), Error> {
-        let mut query = ContactQuery {
-            gpu,
-            words: &self.buffers.answer,
-            readback: answer,
-            seconds: StageTimes::new(),
-        };
+        let mut query = ContactQuery { gpu, words: &self.buffers.answer, readback: answer, seconds: StageTimes::new() };
         for solves in 1.. {
             let (mut solution, status, mut times) = solve(recorder, solves - 1)?;
             query.seconds.append(&mut times);
@@ -343,19 +302,11 @@ impl GpuSolids {
             // The pressure does not match the velocities at which a search stops. One more solve, with all touched
             // surfaces constrained, computes one that does.
             let constrain_touching = ended && together;
-            let mut next = self.next_active_set(
-                &mut query,
-                search,
-                solves == 1,
-                penetrating,
-                constrain_touching,
-            )?;
+            let mut next = self.next_active_set(&mut query, search, solves == 1, penetrating, constrain_touching)?;
             if ended && !together {
                 query.seconds.append(&mut next.submit().wait()?);
             } else {
-                next.stage(Stage::Solve.name(), |pass| {
-                    self.stages.system.record_hold(pass)
-                });
+                next.stage(Stage::Solve.name(), |pass| self.stages.system.record_hold(pass));
                 if !ended {
                     recorder = next;
                     continue;
@@ -424,10 +375,8 @@ impl GpuSolids {
         self.max_speed = speeds.fold(0.0, f64::max);
         self.buffers.write_state(gpu, state);
         if self.buffers.plan.scripts {
-            self.scripted = Scripted {
-                displacement: state.displacement.clone(),
-                velocity: state.node_velocity.clone(),
-            };
+            self.scripted =
+                Scripted { displacement: state.displacement.clone(), velocity: state.node_velocity.clone() };
         }
     }
 
@@ -439,10 +388,7 @@ impl GpuSolids {
         let (high, low) = parts.split_at(self.buffers.plan.n_nodes);
         carried.displacement_high = high.iter().map(wide).collect();
         carried.displacement_low = low.iter().map(wide).collect();
-        let Scripted {
-            displacement,
-            velocity,
-        } = &self.scripted;
+        let Scripted { displacement, velocity } = &self.scripted;
         carried.scripted_displacement.clone_from(displacement);
         carried.scripted_velocity.clone_from(velocity);
         Ok(())
@@ -453,9 +399,7 @@ impl GpuSolids {
         self.max_speed = carried.max_speed[1];
         let parts = [&carried.displacement_high, &carried.displacement_low];
         let words = parts.into_iter().flatten();
-        let words: Vec<[f32; 4]> = words
-            .map(|&[x, y, z]| [x as f32, y as f32, z as f32, 0.0])
-            .collect();
+        let words: Vec<[f32; 4]> = words.map(|&[x, y, z]| [x as f32, y as f32, z as f32, 0.0]).collect();
         gpu.upload(&self.buffers.displacement, &words);
         self.scripted = Scripted {
             displacement: carried.scripted_displacement.clone(),
@@ -467,13 +411,7 @@ impl GpuSolids {
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
-    pub(super) fn write_step(
-        &mut self,
-        gpu: &Gpu,
-        scene: &Scene,
-        clock: &State,
-        dt: f64,
-    ) -> Result<(), Error> {
+    pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, clock: &State, dt: f64) -> Result<(), Error> {
         let step = self.buffers.step_of(scene.domain.gravity, dt);
         if let Some(contacts) = &mut self.contacts {
             let with = (&self.solids, &self.buffers);
@@ -485,16 +423,12 @@ impl GpuSolids {
             self.buffers.write_load(gpu, &self.solids);
         }
         self.move_obstacles(gpu, clock.time, dt);
-        let Scripted {
-            displacement,
-            velocity,
-        } = &mut self.scripted;
+        let Scripted { displacement, velocity } = &mut self.scripted;
         if displacement.is_empty() {
             return Ok(());
         }
         if clock.step == 0 {
-            self.solids
-                .start_scripts(displacement, velocity, f64::from(step.dt));
+            self.solids.start_scripts(displacement, velocity, f64::from(step.dt));
             if self.buffers.plan.real == Real::F32 {
                 round_to_f32(velocity);
             }
@@ -506,9 +440,7 @@ impl GpuSolids {
                 *u += f64::from(step.dt) * v;
             }
         }
-        *velocity = self
-            .solids
-            .prescribed_velocity(displacement, clock.time + dt, dt);
+        *velocity = self.solids.prescribed_velocity(displacement, clock.time + dt, dt);
         round_to_f32(velocity);
         self.buffers.write_prescribed(gpu, velocity);
         Ok(())
@@ -528,13 +460,7 @@ impl GpuSolids {
 
     /// Records the assembly of another system of this sub-step, and with `again` its right-hand side from the present
     /// velocities. The constraints are unchanged.
-    pub(super) fn record_other_system(
-        &self,
-        gpu: &Gpu,
-        to: &mut Recorder,
-        step: SolidStep,
-        again: bool,
-    ) {
+    pub(super) fn record_other_system(&self, gpu: &Gpu, to: &mut Recorder, step: SolidStep, again: bool) {
         gpu.upload(&self.buffers.step, &[step]);
         let stages = &self.stages;
         to.stage(Stage::Solve.name(), |pass| {
@@ -555,11 +481,7 @@ impl GpuSolids {
         report: fields::SolidReport,
     ) -> SolidReport {
         self.max_speed = report.diagnosis.max_speed;
-        SolidReport {
-            solve: solve_report(outcome),
-            contact,
-            diagnosis: report.diagnosis,
-        }
+        SolidReport { solve: solve_report(outcome), contact, diagnosis: report.diagnosis }
     }
 
     /// Displacements of all nodes, m.

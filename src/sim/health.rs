@@ -50,11 +50,7 @@ impl Shrinkage {
                 worst = (element, det);
             }
         }
-        Shrinkage {
-            volume: volume / rest,
-            inverted: inverted as f64 / n,
-            worst,
-        }
+        Shrinkage { volume: volume / rest, inverted: inverted as f64 / n, worst }
     }
 
     fn sound(&self) -> bool {
@@ -72,9 +68,7 @@ fn patience(scene: &Scene, solids: &Solids, body: usize, dt: f64) -> [u32; 2] {
     let rest = &solids.rest[solids.bodies[body].nodes.clone()];
     let low = rest.iter().copied().reduce(glam::DVec3::min);
     let high = rest.iter().copied().reduce(glam::DVec3::max);
-    let length = low
-        .zip(high)
-        .map_or(0.0, |(low, high)| (high - low).max_element());
+    let length = low.zip(high).map_or(0.0, |(low, high)| (high - low).max_element());
     let time = UNFOLDING * length * (solid.density / solid.young).sqrt();
     let steps = ((time / dt).ceil() as u32).max(FAILED_AFTER);
     [steps, steps]
@@ -94,8 +88,7 @@ fn update(
     // The volume ratio is the mean of det F.
     let upright = inverted == 0.0;
     let settled = |of: &SolidHealth| of.sound || of.failed_at.is_some();
-    if upright && (min_det > SOUND_VOLUME || min_det >= FAILED_VOLUME && health.iter().all(settled))
-    {
+    if upright && (min_det > SOUND_VOLUME || min_det >= FAILED_VOLUME && health.iter().all(settled)) {
         for (body, of) in health.iter_mut().enumerate() {
             of.note(min_det > SOUND_VOLUME, patience(body)[0]);
             of.inverted_steps = 0;
@@ -139,9 +132,7 @@ fn depth(scene: &Scene, state: &State) -> f64 {
     let cells = state.liquid_distance.iter().enumerate();
     let wet = cells.filter(|(_, distance)| **distance < 0.0);
     let heights = wet.map(|(cell, _)| down.dot(grid.cell_centre(grid.cell_at(cell))));
-    let [low, high] = heights.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| {
-        [low.min(x), high.max(x)]
-    });
+    let [low, high] = heights.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| [low.min(x), high.max(x)]);
     match high >= low {
         true => high - low + grid.dx,
         false => 0.0,
@@ -149,28 +140,19 @@ fn depth(scene: &Scene, state: &State) -> f64 {
 }
 
 /// The error of a run with a failed solid.
-fn failure(
-    scene: &Scene,
-    solids: &Solids,
-    state: &State,
-    step: u64,
-    of: (usize, Shrinkage),
-) -> Error {
+fn failure(scene: &Scene, solids: &Solids, state: &State, step: u64, of: (usize, Shrinkage)) -> Error {
     let (number, now) = of;
     let body = &solids.bodies[number];
     let (element, det) = now.worst;
     let corners = solids.elements[element].map(|node| node as usize);
-    let places =
-        corners.map(|node| solids.rest[node] + glam::DVec3::from(state.displacement[node]));
+    let places = corners.map(|node| solids.rest[node] + glam::DVec3::from(state.displacement[node]));
     let at = places.into_iter().sum::<glam::DVec3>() / 4.0;
     let pressure = scene.liquid.as_ref().map_or(0.0, |liquid| {
         let gravity = scene.domain.largest_gravity().length();
         2.0 * liquid.density * gravity * depth(scene, state)
     });
     let stiffer = match pressure > scene.solids[number].young {
-        true => format!(
-            "raise solid[{number}].young above {pressure:.0} Pa, twice the pressure at this depth"
-        ),
+        true => format!("raise solid[{number}].young above {pressure:.0} Pa, twice the pressure at this depth"),
         false => format!("raise solid[{number}].young, or reduce loads and speeds"),
     };
     Error::Stage {
@@ -198,8 +180,8 @@ fn expected_speed(scene: &Scene) -> Option<f64> {
     let path = |keyframes: &[Keyframe]| {
         let speeds = keyframes.windows(2).map(|pair| {
             let turn = |frame: &Keyframe| frame.angle * frame.axis;
-            let way = pair[1].translate.distance(pair[0].translate)
-                + turn(&pair[1]).distance(turn(&pair[0])) * size.length();
+            let way =
+                pair[1].translate.distance(pair[0].translate) + turn(&pair[1]).distance(turn(&pair[0])) * size.length();
             way / (pair[1].time - pair[0].time)
         });
         speeds.fold(0.0, f64::max)
@@ -255,10 +237,7 @@ pub(super) struct Now<'a> {
 
 impl Health {
     pub(super) fn new(scene: &Scene, keep_going: bool) -> Health {
-        Health {
-            keep_going,
-            expected_speed: scene.liquid.as_ref().and_then(|_| expected_speed(scene)),
-        }
+        Health { keep_going, expected_speed: scene.liquid.as_ref().and_then(|_| expected_speed(scene)) }
     }
 
     /// Counts signs of failure in the liquid. Returns a line for each sign that occurs for the first time.

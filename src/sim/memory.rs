@@ -33,19 +33,13 @@ impl HostMemory {
             false => geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))? as u64,
         };
         let per_cell = if on_cpu { PER_CELL_CPU } else { PER_CELL_GPU };
-        Ok(HostMemory {
-            needed: grid.n_cells() as u64 * per_cell + markers * PER_MARKER,
-            available: free_memory(),
-        })
+        Ok(HostMemory { needed: grid.n_cells() as u64 * per_cell + markers * PER_MARKER, available: free_memory() })
     }
 
     /// Adds the buffers of an adapter without its own memory, bytes.
     pub fn beside(self, buffers: u64, adapter: &AdapterReport) -> HostMemory {
         match adapter.kind {
-            "software" => HostMemory {
-                needed: self.needed + buffers,
-                ..self
-            },
+            "software" => HostMemory { needed: self.needed + buffers, ..self },
             _ => self,
         }
     }
@@ -69,7 +63,5 @@ pub fn free_memory() -> u64 {
     system.refresh_memory();
     let available = system.available_memory() + system.free_swap();
     let limits = system.cgroup_limits();
-    limits.map_or(available, |limits| {
-        available.min(limits.free_memory + limits.free_swap)
-    })
+    limits.map_or(available, |limits| available.min(limits.free_memory + limits.free_swap))
 }

@@ -22,8 +22,7 @@ pub use memory::{HostMemory, free_memory};
 pub use plan::{Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};
 pub use snapshot::{
-    LevelSnapshot, LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system,
-    stored_coupling,
+    LevelSnapshot, LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system, stored_coupling,
 };
 pub use step::Observer;
 pub use warnings::warnings;
@@ -69,11 +68,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    fn of(
-        &State {
-            time, step, frame, ..
-        }: &State,
-    ) -> Clock {
+    fn of(&State { time, step, frame, .. }: &State) -> Clock {
         Clock { time, step, frame }
     }
 }
@@ -100,11 +95,7 @@ impl Simulation {
             Backend::Gpu(choice) => Path::Gpu(Box::new(GpuPath::with(scene, &solids, choice)?)),
             Backend::Cpu => Path::Cpu(Box::new(reference_with(scene, &solids)?)),
         };
-        Ok(Simulation {
-            scene: scene.clone(),
-            solids,
-            path,
-        })
+        Ok(Simulation { scene: scene.clone(), solids, path })
     }
 
     /// Computes one sub-step of the length that velocities and frame times allow.
@@ -125,10 +116,8 @@ impl Simulation {
         let domain = &mut self.scene.domain;
         domain.gravity = domain.mean_gravity(times);
         self.solids.set_load(times);
-        let solves = [
-            ("pressure", report.liquid.map(|liquid| liquid.solve)),
-            ("solid", report.solid.map(|solid| solid.solve)),
-        ];
+        let solves =
+            [("pressure", report.liquid.map(|liquid| liquid.solve)), ("solid", report.solid.map(|solid| solid.solve))];
         for (name, solve) in solves {
             if let Some(SolveReport {
                 status: status @ (SolveStatus::Breakdown | SolveStatus::NonFinite),
@@ -140,11 +129,7 @@ impl Simulation {
                 let problem = format!(
                     "the {name} solve ended with {status} at a relative residual of {residual:.1e}\n  cure: shorter sub-steps (time.fixed_step), solver.precision = \"f64\", or smaller ratios between loads and between stiffnesses"
                 );
-                return Err(Error::Stage {
-                    stage: "solve",
-                    step,
-                    problem,
-                });
+                return Err(Error::Stage { stage: "solve", step, problem });
             }
         }
         Ok(report)
@@ -167,8 +152,7 @@ impl Simulation {
                 let (grid, state) = (self.scene.grid(), path.state());
                 let open = &path.cut_cells().open;
                 let of_liquid = probes.iter().filter(|probe| probe.kind.measures_liquid());
-                let values =
-                    of_liquid.flat_map(|probe| reference::probe(&grid, open, state, &probe.kind));
+                let values = of_liquid.flat_map(|probe| reference::probe(&grid, open, state, &probe.kind));
                 let nodes = NodeReadback {
                     displacement: state.displacement.clone(),
                     velocity: state.node_velocity.clone(),
@@ -187,10 +171,7 @@ impl Simulation {
             };
             let slab = self.scene.domain.slab;
             if let Some(factors) = slab.and_then(|slab| slab.probe_factors(&probe.kind)) {
-                values
-                    .iter_mut()
-                    .zip(factors)
-                    .for_each(|(value, factor)| *value *= factor);
+                values.iter_mut().zip(factors).for_each(|(value, factor)| *value *= factor);
             }
             values
         });
@@ -220,11 +201,7 @@ impl Simulation {
             Path::Gpu(path) => path.liquid.as_ref().map_or(0.0, |liquid| liquid.volume_0),
             Path::Cpu(path) => path.state().volume_0,
         };
-        Some(if volume_0 > 0.0 {
-            liquid.diagnosis.volume / volume_0
-        } else {
-            1.0
-        })
+        Some(if volume_0 > 0.0 { liquid.diagnosis.volume / volume_0 } else { 1.0 })
     }
 
     /// Flow rates of the sources, in the order of the scene.
@@ -276,17 +253,8 @@ impl Simulation {
     /// [`Error::Input`] when the state does not fit the scene; [`Error::Gpu`] when the device fails.
     pub fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
         let (grid, frames) = (self.scene.grid(), self.scene.time.frames_per_second);
-        let n_cells = if self.scene.liquid.is_some() {
-            grid.n_cells()
-        } else {
-            0
-        };
-        let cells = [
-            state.pressure.len(),
-            state.liquid_distance.len(),
-            state.active.len(),
-            state.ballistic.len(),
-        ];
+        let n_cells = if self.scene.liquid.is_some() { grid.n_cells() } else { 0 };
+        let cells = [state.pressure.len(), state.liquid_distance.len(), state.active.len(), state.ballistic.len()];
         let faces = Axis::ALL.map(|axis| state.velocity[axis.index()].len());
         let n_faces = Axis::ALL.map(|axis| grid.n_faces(axis));
         let liquid = n_cells == 0 || (cells == [n_cells; 4] && faces == n_faces);
@@ -362,12 +330,7 @@ fn first_clip(scene: &Scene, solids: &Solids, obstacles: &ObstacleCut) -> Option
 }
 
 /// The initial state for [`reference::prepare`]. Liquid is seeded outside the solids.
-fn first_state(
-    scene: &Scene,
-    solids: &Solids,
-    obstacles: &CutCells,
-    clip: Option<&SolidClip>,
-) -> Result<State, Error> {
+fn first_state(scene: &Scene, solids: &Solids, obstacles: &CutCells, clip: Option<&SolidClip>) -> Result<State, Error> {
     let cut = clip.map_or(obstacles, SolidClip::cut_cells);
     let (displacement, velocity) = solids.initial_state(scene);
     solids.ensure_clearance(scene, &obstacles.solid_distance, &displacement)?;

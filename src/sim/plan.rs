@@ -165,10 +165,7 @@ impl Plan {
     }
 
     fn marker_bytes(&self) -> u64 {
-        let marker_buffers = self
-            .buffers
-            .iter()
-            .filter(|plan| PER_MARKER.contains(&&*plan.label));
+        let marker_buffers = self.buffers.iter().filter(|plan| PER_MARKER.contains(&&*plan.label));
         marker_buffers.map(BufferPlan::bytes).sum()
     }
 
@@ -206,18 +203,11 @@ impl Plan {
 /// Scaled residual to the device, and correction back, both f32: one word per cell of the pressure, the solver's
 /// words, and one quad per node.
 fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64 {
-    let cells = if effects.liquid {
-        4 * 3 * padded_cells
-    } else {
-        0
-    };
+    let cells = if effects.liquid { 4 * 3 * padded_cells } else { 0 };
     (cells + 4 * 2 * 4 * n_nodes) as u64
 }
 
-fn first_step(
-    scene: &Scene,
-    (solids, obstacles, taps): (&Solids, Option<&ObstacleCut>, &SourcesAndSinks),
-) -> TimeStep {
+fn first_step(scene: &Scene, (solids, obstacles, taps): (&Solids, Option<&ObstacleCut>, &SourcesAndSinks)) -> TimeStep {
     let liquid_speed = scene.liquid.as_ref().map_or(0.0, geometry::initial_speed);
     let (_, velocity) = solids.initial_state(scene);
     let nodes = velocity.as_flattened().iter();
@@ -255,9 +245,7 @@ fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> 
 fn stages(effects: &Effects, scene: &Scene, gpu: &Gpu) -> Vec<StagePlan> {
     let kernels_by_stage = gpu.stage_kernels();
     let kernels_of = |stage: Stage| {
-        let own = kernels_by_stage
-            .iter()
-            .filter(move |(name, _)| *name == stage.name());
+        let own = kernels_by_stage.iter().filter(move |(name, _)| *name == stage.name());
         own.map(|(_, kernel)| *kernel)
     };
     let mut plans = Vec::new();
@@ -294,12 +282,7 @@ fn buffers(gpu: &Gpu) -> Vec<BufferPlan> {
 }
 
 /// Solver of the pressure, then of the solids.
-fn solves(
-    scene: &Scene,
-    (solids, first_dt): (&Solids, f64),
-    rows: &SolidRows,
-    f64: bool,
-) -> Vec<String> {
+fn solves(scene: &Scene, (solids, first_dt): (&Solids, f64), rows: &SolidRows, f64: bool) -> Vec<String> {
     let solver = &scene.solver;
     let numbers = match (solver.precision, f64) {
         (Precision::F32, _) => "all in f32",
@@ -339,9 +322,7 @@ fn solves(
             }
             false => two_field,
         };
-        let together = format!(
-            "{together}; {numbers}, both residuals of the indefinite system {tolerance:.0e}"
-        );
+        let together = format!("{together}; {numbers}, both residuals of the indefinite system {tolerance:.0e}");
         solves.push(match solver.coupling {
             CouplingScheme::Strong => {
                 format!("where they touch, liquid and solids together: {together}")

@@ -13,8 +13,8 @@ use crate::gpu::AdapterReport;
 use crate::output::checkpoint::Checkpoint;
 use crate::output::frames::{FrameKinds, FrameWriter};
 use crate::output::manifest::{
-    AdapterRecord, CameraRecord, EarlierAdapter, Manifest, RunOptions, RunStatus, SceneRecord,
-    SolidHealth, SurfaceRecord, Tally,
+    AdapterRecord, CameraRecord, EarlierAdapter, Manifest, RunOptions, RunStatus, SceneRecord, SolidHealth,
+    SurfaceRecord, Tally,
 };
 use crate::output::tables::{ProbeTable, StepRow, StepTable};
 use crate::output::{FolderLock, is_partial};
@@ -100,8 +100,7 @@ impl Start {
     /// Determines the start from the folder and the options.
     fn find(scene: &Scene, options: &Options, n_frames: u64) -> Result<Start, Error> {
         let out = &options.out;
-        let refused =
-            |problem: &str, cure: &str| Err(Error::input(out.display().to_string(), problem, cure));
+        let refused = |problem: &str, cure: &str| Err(Error::input(out.display().to_string(), problem, cure));
         let manifest_path = out.join("manifest.json");
         let (manifest, checkpoint) = (manifest_path.exists(), Checkpoint::path(out).exists());
         if !(manifest || checkpoint) {
@@ -132,9 +131,7 @@ impl Start {
                     error.to_string().lines().next().unwrap_or_default()
                 ),
                 match checkpoint {
-                    true => {
-                        "choose another folder with --out, resume the run with --resume, or delete this one"
-                    }
+                    true => "choose another folder with --out, resume the run with --resume, or delete this one",
                     false => "choose another folder with --out, or delete this one",
                 },
             ),
@@ -146,9 +143,8 @@ impl Start {
         let out = &options.out;
         let (manifest_path, path) = (out.join("manifest.json"), Checkpoint::path(out));
         let backend = options.backend.name();
-        let refused = |what: &Path, problem: String, cure: &str| {
-            Err(Error::input(what.display().to_string(), problem, cure))
-        };
+        let refused =
+            |what: &Path, problem: String, cure: &str| Err(Error::input(what.display().to_string(), problem, cure));
         let checkpoint = Checkpoint::read(out)?;
         if let Some(Checkpoint { manifest, .. }) = &checkpoint {
             manifest.ensure_same_run(scene, backend, &path)?;
@@ -173,15 +169,11 @@ impl Start {
             return refused(out, problem, "request at least as many with --frames");
         }
         match (finished, checkpoint) {
-            (Some(manifest), _) if done == Some(n_frames) => {
-                Ok(Start::Finished(Box::new(manifest)))
-            }
+            (Some(manifest), _) if done == Some(n_frames) => Ok(Start::Finished(Box::new(manifest))),
             (_, Some(checkpoint)) => Ok(Start::From(Box::new(checkpoint))),
             (Some(_), None) => refused(
                 out,
-                format!(
-                    "the run ended with frame {most}, and it has no checkpoint.npz to resume from"
-                ),
+                format!("the run ended with frame {most}, and it has no checkpoint.npz to resume from"),
                 "restart it with --overwrite and `output.checkpoint_every` above 0",
             ),
             // The run stopped before its first checkpoint and starts again.
@@ -247,11 +239,7 @@ pub fn run(
         }
         Start::From(checkpoint) => {
             simulation.resume(&checkpoint.state, &checkpoint.carried)?;
-            resumed = Some(update_manifest(
-                &mut manifest,
-                &checkpoint,
-                scene.output.every,
-            ));
+            resumed = Some(update_manifest(&mut manifest, &checkpoint, scene.output.every));
             Some(TablesAt::of(&checkpoint))
         }
     };
@@ -264,21 +252,9 @@ pub fn run(
         None => recording.frame(&simulation, n_frames),
         Some(_) => Ok(()),
     };
-    let outcome = outcome.and_then(|()| {
-        frames(
-            n_frames,
-            &mut simulation,
-            &mut recording,
-            progress,
-            interrupt,
-        )
-    });
+    let outcome = outcome.and_then(|()| frames(n_frames, &mut simulation, &mut recording, progress, interrupt));
     let manifest = recording.end(&simulation, outcome)?;
-    Ok(Summary {
-        empty_regions,
-        resumed,
-        ..Summary::of(&manifest)
-    })
+    Ok(Summary { empty_regions, resumed, ..Summary::of(&manifest) })
 }
 
 /// Checks that file names have enough digits for the frames.
@@ -287,11 +263,7 @@ fn ensure_frames(n_frames: u64) -> Result<(), Error> {
         return Ok(());
     }
     let problem = format!("file names allow {MAX_FRAMES} frames");
-    Err(Error::input(
-        format!("--frames {n_frames}"),
-        problem,
-        "request fewer frames",
-    ))
+    Err(Error::input(format!("--frames {n_frames}"), problem, "request fewer frames"))
 }
 
 /// The scene with a duration of at least so many frames.
@@ -303,17 +275,9 @@ fn lasting(scene: &Scene, n_frames: u64) -> Scene {
 }
 
 impl Summary {
-    fn of(
-        Manifest {
-            options,
-            progress,
-            solids,
-            ..
-        }: &Manifest,
-    ) -> Summary {
+    fn of(Manifest { options, progress, solids, .. }: &Manifest) -> Summary {
         let health = solids.iter().zip(&progress.solids);
-        let failed =
-            health.filter_map(|(solid, health)| Some((solid.name.clone(), health.failed_at?)));
+        let failed = health.filter_map(|(solid, health)| Some((solid.name.clone(), health.failed_at?)));
         Summary {
             failed_solids: failed.collect(),
             frames: options.frames,
@@ -327,11 +291,7 @@ impl Summary {
 
     fn finished(manifest: &Manifest) -> Summary {
         Summary {
-            resumed: Some(Resumed {
-                frames: manifest.options.frames,
-                other_adapter: None,
-                skins_removed: false,
-            }),
+            resumed: Some(Resumed { frames: manifest.options.frames, other_adapter: None, skins_removed: false }),
             ..Summary::of(manifest)
         }
     }
@@ -339,11 +299,7 @@ impl Summary {
 
 /// Updates a manifest for the run of a checkpoint. `every`: interval between written frames.
 fn update_manifest(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64) -> Resumed {
-    let Checkpoint {
-        state,
-        manifest: before,
-        ..
-    } = checkpoint;
+    let Checkpoint { state, manifest: before, .. } = checkpoint;
     manifest.progress.clone_from(&before.progress);
     let solids = &mut manifest.progress.solids;
     solids.resize(manifest.solids.len(), SolidHealth::default());
@@ -351,23 +307,14 @@ fn update_manifest(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64)
     // The last frame of a shorter run may not be due in a longer one. All others stay, also if `every` has changed.
     let written = &mut manifest.progress.frames_written;
     written.retain(|&frame| has_place(frame, every, n_frames) || !before.is_extra(frame));
-    manifest
-        .earlier_adapters
-        .clone_from(&before.earlier_adapters);
+    manifest.earlier_adapters.clone_from(&before.earlier_adapters);
     let mut other_adapter = None;
     if before.adapter != manifest.adapter {
         let name = |adapter: &AdapterRecord| format!("{} ({})", adapter.name, adapter.driver);
         other_adapter = before.adapter.as_ref().map(name);
-        manifest.earlier_adapters.push(EarlierAdapter {
-            adapter: before.adapter.clone(),
-            steps: state.step,
-        });
+        manifest.earlier_adapters.push(EarlierAdapter { adapter: before.adapter.clone(), steps: state.step });
     }
-    Resumed {
-        frames: state.frame,
-        other_adapter,
-        skins_removed: false,
-    }
+    Resumed { frames: state.frame, other_adapter, skins_removed: false }
 }
 
 /// Summary of a finished run. Its manifest gets the edits of the scene that a resumed run may have.
@@ -378,9 +325,7 @@ fn finished(scene: &Scene, out: &Path, mut manifest: Manifest) -> Result<Summary
         manifest.options.overrides.clone_from(&scene.overrides);
         manifest.camera = CameraRecord::from(&scene.camera);
         let surface = manifest.surface.as_mut();
-        surface
-            .into_iter()
-            .for_each(|surface| *surface = SurfaceRecord::from(&scene.surface));
+        surface.into_iter().for_each(|surface| *surface = SurfaceRecord::from(&scene.surface));
         manifest.write(out)?;
     }
     Ok(Summary::finished(&manifest))
@@ -393,26 +338,15 @@ fn has_place(frame: u64, every: u64, n_frames: u64) -> bool {
 
 /// Frame number in a file name.
 fn frame_of(file: &str, scene: &str) -> Option<u64> {
-    let (number, _) = file
-        .strip_prefix(scene)?
-        .strip_prefix('_')?
-        .split_once('.')?;
+    let (number, _) = file.strip_prefix(scene)?.strip_prefix('_')?.split_once('.')?;
     let kinds = ["obstacles_", "surface_"];
-    let number = kinds
-        .iter()
-        .find_map(|kind| number.strip_prefix(kind))
-        .unwrap_or(number);
+    let number = kinds.iter().find_map(|kind| number.strip_prefix(kind)).unwrap_or(number);
     number.parse().ok()
 }
 
 /// Deletes files and pictures of frames that an earlier part of the run has written and this part will not write, and skins that do not
 /// fit the resumed run. Returns whether there were such skins. `manifest`: frames written up to the checkpoint in frame `resumed`.
-fn remove_frames_without_place(
-    out: &Path,
-    scene: &Scene,
-    manifest: &Manifest,
-    resumed: u64,
-) -> Result<bool, Error> {
+fn remove_frames_without_place(out: &Path, scene: &Scene, manifest: &Manifest, resumed: u64) -> Result<bool, Error> {
     remove_partial(out)?;
     let stays = |frame: u64| match frame <= resumed {
         true => manifest.progress.frames_written.contains(&frame),
@@ -427,9 +361,7 @@ fn remove_frames_without_place(
         let stale = manifest.solids.iter().any(|solid| {
             let skin = name.strip_prefix(&format!("{}_{}", scene.name, solid.name));
             skin.is_some_and(|skin| {
-                let number = skin
-                    .strip_prefix('_')
-                    .and_then(|skin| skin.strip_suffix(".ply"));
+                let number = skin.strip_prefix('_').and_then(|skin| skin.strip_suffix(".ply"));
                 let number = number.and_then(|number| number.parse().ok());
                 skin == ".glb" || number.is_some_and(|frame| frame > resumed || !stays(frame))
             })
@@ -457,10 +389,7 @@ fn prepare_folder(out: &Path, earlier_run: Option<Manifest>) -> Result<(), Error
             let kind = Path::new(name).extension().and_then(|kind| kind.to_str());
             let rest = name.strip_prefix(&earlier.scene.name);
             rest.is_some_and(|rest| rest.starts_with(['_', '.']))
-                && matches!(
-                    kind,
-                    Some("vtp" | "vti" | "vtu" | "ply" | "glb" | "pvd" | "png" | "gif")
-                )
+                && matches!(kind, Some("vtp" | "vti" | "vtu" | "ply" | "glb" | "pvd" | "png" | "gif"))
         };
         for folder in ["frames", "preview"] {
             remove(&out.join(folder), &belongs)?;
@@ -508,11 +437,7 @@ struct TablesAt {
 
 impl TablesAt {
     fn of(checkpoint: &Checkpoint) -> TablesAt {
-        TablesAt {
-            frame: checkpoint.state.frame,
-            steps: checkpoint.steps_bytes,
-            probes: checkpoint.probes_bytes,
-        }
+        TablesAt { frame: checkpoint.state.frame, steps: checkpoint.steps_bytes, probes: checkpoint.probes_bytes }
     }
 }
 
@@ -590,19 +515,10 @@ impl<'a> Recording<'a> {
     ///
     /// # Errors
     /// Fails after a solid has collapsed; the rows are written before.
-    fn sub_step(
-        &mut self,
-        simulation: &mut Simulation,
-        report: &StepReport,
-    ) -> Result<Vec<String>, Error> {
+    fn sub_step(&mut self, simulation: &mut Simulation, report: &StepReport) -> Result<Vec<String>, Error> {
         let clock = simulation.clock();
         let volume_ratio = simulation.volume_ratio(report);
-        let row = StepRow {
-            step: clock.step - 1,
-            time: clock.time,
-            report,
-            volume_ratio,
-        };
+        let row = StepRow { step: clock.step - 1, time: clock.time, report, volume_ratio };
         self.steps.push(&row)?;
         if let Some(table) = &mut self.probes {
             table.push(clock.step - 1, clock.time, &simulation.probes()?)?;
@@ -610,12 +526,7 @@ impl<'a> Recording<'a> {
         let progress = &mut self.manifest.progress;
         (progress.steps, progress.time) = (clock.step, clock.time);
         notice(&mut progress.tally, report, volume_ratio);
-        let now = Now {
-            step: clock.step - 1,
-            time: clock.time,
-            report,
-            volume_ratio,
-        };
+        let now = Now { step: clock.step - 1, time: clock.time, report, volume_ratio };
         let mut notices = self.health.liquid(&now, &mut progress.tally);
         notices.extend(self.health.solids(
             (self.scene, simulation.solids()),
@@ -691,17 +602,12 @@ impl<'a> Recording<'a> {
     }
 
     /// Writes the last checkpoint, and the end of the run to the manifest.
-    fn end(
-        mut self,
-        simulation: &Simulation,
-        outcome: Result<(), Error>,
-    ) -> Result<Manifest, Error> {
+    fn end(mut self, simulation: &Simulation, outcome: Result<(), Error>) -> Result<Manifest, Error> {
         let saved = match &outcome {
             Ok(()) => Ok(()),
-            Err(Error::Interrupted) => simulation
-                .state()
-                .and_then(|state| self.keep(simulation, state, true))
-                .and_then(|()| self.save()),
+            Err(Error::Interrupted) => {
+                simulation.state().and_then(|state| self.keep(simulation, state, true)).and_then(|()| self.save())
+            }
             // The last complete frame. If that fails too, the first error is reported.
             Err(_) => self.save(),
         };
@@ -726,9 +632,7 @@ impl<'a> Recording<'a> {
 fn notice(tally: &mut Tally, report: &StepReport, volume_ratio: Option<f64>) {
     let ended = |with: fn(SolveStatus) -> bool| report.solves().any(|solve| with(solve.status));
     tally.squeezed += u64::from(ended(|status| status == SolveStatus::Incompatible));
-    tally.missed += u64::from(ended(|status| {
-        !matches!(status, SolveStatus::Converged | SolveStatus::Incompatible)
-    }));
+    tally.missed += u64::from(ended(|status| !matches!(status, SolveStatus::Converged | SolveStatus::Incompatible)));
     for solve in report.solves() {
         tally.worst_residual = tally.worst_residual.max(solve.residual);
     }
@@ -763,13 +667,7 @@ fn frames(
         if clock.frame > before {
             recording.frame(simulation, n_frames)?;
         }
-        progress(&Progress {
-            frame: clock.frame,
-            n_frames,
-            time: clock.time,
-            report: &report,
-            notices: &notices,
-        });
+        progress(&Progress { frame: clock.frame, n_frames, time: clock.time, report: &report, notices: &notices });
         // A run whose last frame is written is complete.
         if interrupt.load(Ordering::Relaxed) && clock.frame < n_frames {
             return Err(Error::Interrupted);
@@ -781,19 +679,10 @@ fn frames(
 fn adapter_record(adapter: &AdapterReport) -> AdapterRecord {
     let limits = [
         ("max_buffer_size", adapter.buffer),
-        (
-            "max_compute_invocations_per_workgroup",
-            adapter.threads.into(),
-        ),
-        (
-            "max_compute_workgroups_per_dimension",
-            adapter.workgroups.into(),
-        ),
+        ("max_compute_invocations_per_workgroup", adapter.threads.into()),
+        ("max_compute_workgroups_per_dimension", adapter.workgroups.into()),
         ("max_storage_buffer_binding_size", adapter.storage_binding),
-        (
-            "max_storage_buffers_per_shader_stage",
-            adapter.storage_buffers.into(),
-        ),
+        ("max_storage_buffers_per_shader_stage", adapter.storage_buffers.into()),
     ];
     AdapterRecord {
         name: adapter.name.clone(),

@@ -61,19 +61,9 @@ impl Rounds<'_> {
         &mut self,
         mut recorder: Recorder,
         guesses: bool,
-        mut solve: impl FnMut(
-            Recorder,
-            Round,
-            &mut dyn FnMut(&mut Recorder),
-        ) -> Result<(Solution, bool), Error>,
+        mut solve: impl FnMut(Recorder, Round, &mut dyn FnMut(&mut Recorder)) -> Result<(Solution, bool), Error>,
     ) -> Result<(Solution, Recorder), Error> {
-        let Rounds {
-            gpu,
-            fields: (liquid, solver),
-            unmasked,
-            flux,
-            ..
-        } = *self;
+        let Rounds { gpu, fields: (liquid, solver), unmasked, flux, .. } = *self;
         let mut masks = self.report.cells > 0;
         let (mut changed, mut rough) = (masks, masks && guesses);
         for number in 1.. {
@@ -82,8 +72,7 @@ impl Rounds<'_> {
             }
             if changed {
                 let fields = (liquid, solver);
-                self.stage
-                    .record_system(&mut recorder, fields, unmasked, true);
+                self.stage.record_system(&mut recorder, fields, unmasked, true);
             }
             let tolerance = self.stage.write_round(gpu, (number, self.tolerance), rough);
             let mut update = |to: &mut Recorder| {
@@ -111,8 +100,7 @@ impl Rounds<'_> {
                 self.report.opened = dx * dx * self.dt * sums.opening;
                 if masks {
                     let fields = (liquid, solver);
-                    self.stage
-                        .record_system(&mut recorder, fields, unmasked, false);
+                    self.stage.record_system(&mut recorder, fields, unmasked, false);
                 }
                 self.stage.record_settle(&mut recorder, liquid);
                 return Ok((solution, recorder));

@@ -8,15 +8,14 @@ use crate::Error;
 use crate::elastic::{Deformation, Solids, stiffness_block};
 use crate::fields::pressure_system::{BALLISTIC, FILLED};
 use crate::fields::{
-    CouplingReport, LevelBuffers, Report, SolidBuffers, SolidReport, SolidSystemBuffers,
-    SolverBuffers,
+    CouplingReport, LevelBuffers, Report, SolidBuffers, SolidReport, SolidSystemBuffers, SolverBuffers,
 };
 use crate::geometry::{Coupling, CutCells};
 use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid, Padded};
 use crate::reference::{
-    ActiveCells, ActiveSurfaces, BlockMatrix, BlockPattern, CoupledSystem, Freedom, PressureSystem,
-    RightHandSide, SolidRightHandSide, SolidSystem, Stencil,
+    ActiveCells, ActiveSurfaces, BlockMatrix, BlockPattern, CoupledSystem, Freedom, PressureSystem, RightHandSide,
+    SolidRightHandSide, SolidSystem, Stencil,
 };
 use crate::state::State;
 
@@ -121,10 +120,7 @@ impl LiquidSnapshot {
         };
         let slots = self.markers.iter().zip(&level.spray);
         let flying = slots.zip(&level.marker_velocity);
-        flying
-            .filter(|((_, spray), _)| **spray)
-            .filter_map(|((x, _), &v)| Some(((*x)?, v)))
-            .collect()
+        flying.filter(|((_, spray), _)| **spray).filter_map(|((x, _), &v)| Some(((*x)?, v))).collect()
     }
 }
 
@@ -175,9 +171,7 @@ impl GpuPath {
 /// Per cell: the bit of its lane in the quad's word, starting at bit `first`.
 fn bits(padded: &Padded, words: &[u32], first: usize) -> Vec<bool> {
     let lanes = 0..padded.len();
-    lanes
-        .map(|at| words[at / 4] >> (first + at % 4) & 1 == 1)
-        .collect()
+    lanes.map(|at| words[at / 4] >> (first + at % 4) & 1 == 1).collect()
 }
 
 /// The pressure system as stored on the device, host layout. See the fields of the same names in [`LiquidSnapshot`].
@@ -224,8 +218,7 @@ impl StoredPressure {
             values
         };
         Ok(StoredPressure {
-            weight: Axis::ALL
-                .map(|axis| padded.unpad(grid.faces(axis), section(axis.index()), |weight| weight)),
+            weight: Axis::ALL.map(|axis| padded.unpad(grid.faces(axis), section(axis.index()), |weight| weight)),
             dirichlet: cells(section(3)),
             inverse_diagonal: cells(section(4)),
             rhs: masked(solver.rhs.download(gpu)?),
@@ -306,19 +299,12 @@ impl SolidSnapshot {
         let mut prescribed = vec![[0.0; 3]; n];
         if buffers.plan.scripts {
             let words = gpu.download(&buffers.prescribed)?;
-            prescribed = words
-                .iter()
-                .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
-                .collect();
+            prescribed = words.iter().map(|&[x, y, z, _]| [x, y, z].map(f64::from)).collect();
         }
         Ok(SolidSnapshot {
             displacement: state.displacement,
             velocity: state.node_velocity,
-            ballistic: gpu
-                .download(&buffers.ballistic)?
-                .iter()
-                .map(|&falls| falls != 0)
-                .collect(),
+            ballistic: gpu.download(&buffers.ballistic)?.iter().map(|&falls| falls != 0).collect(),
             prescribed,
             rotated: [0, 1, 2].map(|s| section(&rotated, s).as_chunks::<4>().0.to_vec()),
             element_forces: [0, 1, 2].map(|s| three(&section(&forces, s))),
@@ -335,18 +321,12 @@ impl SolidSnapshot {
 
 impl GpuLiquid {
     fn snapshot(&self, gpu: &Gpu, grid: &Grid) -> Result<LiquidSnapshot, Error> {
-        let GpuLiquid {
-            buffers: liquid,
-            solver,
-            ..
-        } = self;
+        let GpuLiquid { buffers: liquid, solver, .. } = self;
         let padded = grid.padded();
         let on_cells = |lanes: &[bool]| padded.unpad(grid.cells, lanes, |lane| lane);
         let words = gpu.download(&liquid.valid)?;
         let band_words = gpu.download(&liquid.band_flags)?;
-        let band: Vec<bool> = (0..padded.len())
-            .map(|at| band_words[at / 4] != 0)
-            .collect();
+        let band: Vec<bool> = (0..padded.len()).map(|at| band_words[at / 4] != 0).collect();
         let valid = Axis::ALL.map(|axis| {
             let lanes = bits(&padded, &words, 4 * axis.index());
             padded.unpad(grid.faces(axis), &lanes, |valid| valid)
@@ -406,12 +386,7 @@ impl GpuLiquid {
 const LOST_SPRAY: usize = 1;
 
 impl LevelSnapshot {
-    fn read(
-        gpu: &Gpu,
-        grid: &Grid,
-        level: &LevelBuffers,
-        n_slots: usize,
-    ) -> Result<LevelSnapshot, Error> {
+    fn read(gpu: &Gpu, grid: &Grid, level: &LevelBuffers, n_slots: usize) -> Result<LevelSnapshot, Error> {
         let cells = |field: &Buffer<f32>| {
             let values = gpu.download(field)?;
             Ok::<_, Error>(grid.padded().unpad(grid.cells, &values, f64::from))
@@ -427,10 +402,7 @@ impl LevelSnapshot {
             excess: cells(&level.excess)?,
             component: state.component,
             component_volume: state.component_volume,
-            marker_velocity: velocity
-                .iter()
-                .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
-                .collect(),
+            marker_velocity: velocity.iter().map(|&[x, y, z, _]| [x, y, z].map(f64::from)).collect(),
             spray: velocity.iter().map(|v| v[3] != 0.0).collect(),
             lost_spray: gpu.download(&level.marker_counts)?[LOST_SPRAY],
         })
@@ -489,11 +461,7 @@ impl SolidSnapshot {
         let columns = |[a, b, c]: [DVec3; 3]| DMat3::from_cols(a, b, c);
         let rotation = columns(turned) * columns([a, b, c]).inverse();
         let back = rotation.transpose() * (gradient + (DMat3::IDENTITY - rotation));
-        Deformation {
-            gradient,
-            rotation,
-            strain: 0.5 * (back + back.transpose()),
-        }
+        Deformation { gradient, rotation, strain: 0.5 * (back + back.transpose()) }
     }
 
     /// The stored system of a sub-step of dt (s, an f32): rotated gradients, moduli and right-hand side in the
@@ -514,10 +482,7 @@ impl SolidSnapshot {
             let [lambda, mu] = [0, 1].map(|section| self.rotated[section][element][3] / zeta);
             stiffness_block(turned(a), turned(b), lambda, mu)
         });
-        let rhs = SolidRightHandSide {
-            values: self.rhs.clone(),
-            scale: 0.0,
-        };
+        let rhs = SolidRightHandSide { values: self.rhs.clone(), scale: 0.0 };
         let freedom = self.freedom.clone();
         SolidSystem::new(solids, stiffness, &rhs, &self.velocity, freedom, dt)
     }
@@ -526,10 +491,6 @@ impl SolidSnapshot {
 impl LiquidSnapshot {
     /// The stored matrix, with the enclosed components that the f64 path computes from it.
     pub fn active_cells(&self, grid: &Grid) -> ActiveCells {
-        ActiveCells::new(Stencil::new(
-            *grid,
-            self.weight.clone(),
-            self.dirichlet.clone(),
-        ))
+        ActiveCells::new(Stencil::new(*grid, self.weight.clone(), self.dirichlet.clone()))
     }
 }

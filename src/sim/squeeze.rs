@@ -48,10 +48,7 @@ impl SqueezeReadbacks {
         let allocate = |solids: &GpuSolids| {
             let len = solids.buffers.velocity.words.len();
             let velocity = Some(Readback::new(gpu, "squeeze.velocity", len)?);
-            Ok(SqueezeReadbacks {
-                velocity,
-                ..SqueezeReadbacks::new(gpu, &scene.grid())?
-            })
+            Ok(SqueezeReadbacks { velocity, ..SqueezeReadbacks::new(gpu, &scene.grid())? })
         };
         moved.map(allocate).transpose()
     }
@@ -101,10 +98,7 @@ pub(super) fn squeezed(
         to.submit();
         let velocity = node_velocity.widen(&velocity.wait(gpu)?);
         for (cell, pairs) in clip.coupling().cells() {
-            let flux = |pair: &CellNode| {
-                pair.value
-                    .dot(DVec3::from_slice(&velocity[4 * pair.node..]))
-            };
+            let flux = |pair: &CellNode| pair.value.dot(DVec3::from_slice(&velocity[4 * pair.node..]));
             *cell_flux.entry(cell).or_default() += pairs.iter().map(flux).sum::<f64>();
         }
     } else {

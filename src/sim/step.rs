@@ -67,11 +67,7 @@ impl GpuPath {
     }
 
     /// Computes one sub-step.
-    pub(super) fn step(
-        &mut self,
-        time_step: TimeStep,
-        observer: Option<Observer>,
-    ) -> Result<StepReport, Error> {
+    pub(super) fn step(&mut self, time_step: TimeStep, observer: Option<Observer>) -> Result<StepReport, Error> {
         let clock = Instant::now();
         self.write_step(time_step)?;
         let effects = Effects::of(&self.scene);
@@ -95,17 +91,11 @@ impl GpuPath {
 
     /// Advances the clock and returns the report of the sub-step.
     fn finish(&mut self, time_step: TimeStep, readback: StepReadback) -> StepReport {
-        let TimeStep {
-            dt,
-            floored,
-            wave_cfl,
-            ..
-        } = time_step;
+        let TimeStep { dt, floored, wave_cfl, .. } = time_step;
         if let Some(liquid) = &self.liquid {
             self.head.sources_running = liquid.running_after(&self.head).running.into();
         }
-        self.head
-            .advance_clock(dt, self.scene.time.frames_per_second);
+        self.head.advance_clock(dt, self.scene.time.frames_per_second);
         let liquid = self.liquid.as_mut();
         let liquid = liquid.zip(readback.pressure.zip(readback.liquid));
         let solids = self.solids.as_mut();
@@ -115,9 +105,7 @@ impl GpuPath {
             dt_floored: floored,
             wave_cfl,
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
-            solid: solids.map(|(solids, ((outcome, contact), report))| {
-                solids.finish(&outcome, contact, report)
-            }),
+            solid: solids.map(|(solids, ((outcome, contact), report))| solids.finish(&outcome, contact, report)),
             coupling: readback.coupling,
             seconds: by_stage(&readback.seconds),
             seconds_total: 0.0,
@@ -164,13 +152,7 @@ impl SubStep<'_, '_> {
         let to = recording(&mut self.recorder, &self.path.gpu);
         let (coupling, solids) = (self.path.coupling.as_ref(), self.path.solids.as_ref());
         let liquid = self.path.liquid.as_ref();
-        if let Some(GpuLiquid {
-            buffers,
-            solver,
-            stages,
-            ..
-        }) = liquid
-        {
+        if let Some(GpuLiquid { buffers, solver, stages, .. }) = liquid {
             stages.record(stage, to);
             match stage {
                 Stage::ActiveCells => {
@@ -232,16 +214,7 @@ impl SubStep<'_, '_> {
     /// The host clips, the device scatters the cut quads.
     fn clip(&mut self) -> Result<(), Error> {
         let clock = Instant::now();
-        let GpuPath {
-            gpu,
-            scene,
-            head,
-            liquid,
-            solids,
-            coupling,
-            obstacles,
-            ..
-        } = &mut *self.path;
+        let GpuPath { gpu, scene, head, liquid, solids, coupling, obstacles, .. } = &mut *self.path;
         let (time, dt) = (head.time + self.dt, self.dt);
         let Some(liquid) = liquid else {
             return Ok(());
@@ -315,23 +288,13 @@ impl SubStep<'_, '_> {
     }
 
     fn solve_together(&mut self) -> Result<(), Error> {
-        let GpuPath {
-            gpu,
-            scene,
-            liquid,
-            solids,
-            coupling,
-            readbacks,
-            ..
-        } = &mut *self.path;
+        let GpuPath { gpu, scene, liquid, solids, coupling, readbacks, .. } = &mut *self.path;
         let both = liquid.as_mut().zip(solids.as_ref());
         let Some((coupling, (liquid, solids))) = coupling.as_ref().zip(both) else {
             return Ok(());
         };
         let both_readbacks = readbacks.coupling.as_mut().zip(readbacks.solids.as_mut());
-        let Some((solver, (coupling_readbacks, solid_readbacks))) =
-            coupling.together().zip(both_readbacks)
-        else {
+        let Some((solver, (coupling_readbacks, solid_readbacks))) = coupling.together().zip(both_readbacks) else {
             return Ok(());
         };
         let recorder = end_recording(&mut self.recorder, gpu);
@@ -359,12 +322,7 @@ impl SubStep<'_, '_> {
     }
 
     fn solve_pressure(&mut self) -> Result<(), Error> {
-        let GpuPath {
-            gpu,
-            liquid,
-            coupling,
-            ..
-        } = &mut *self.path;
+        let GpuPath { gpu, liquid, coupling, .. } = &mut *self.path;
         let Some(liquid) = liquid else {
             return Ok(());
         };
@@ -382,15 +340,13 @@ impl SubStep<'_, '_> {
         };
         rounds.record_start(&mut recorder);
         let mut iterations = 0;
-        let (mut outcome, recorder) =
-            rounds.search(recorder, true, |recorder, round, update| {
-                let with = (solver, round.tolerance, round.number > 1);
-                let (outcome, mut times, updated) =
-                    solve.solve_then(gpu, recorder, with, update)?;
-                seconds.append(&mut times);
-                iterations += outcome.iterations;
-                Ok((outcome, updated))
-            })?;
+        let (mut outcome, recorder) = rounds.search(recorder, true, |recorder, round, update| {
+            let with = (solver, round.tolerance, round.number > 1);
+            let (outcome, mut times, updated) = solve.solve_then(gpu, recorder, with, update)?;
+            seconds.append(&mut times);
+            iterations += outcome.iterations;
+            Ok((outcome, updated))
+        })?;
         outcome.iterations = iterations;
         outcome.status = rounds.status(outcome.status);
         self.readback.pressure = Some(outcome);
@@ -403,23 +359,11 @@ impl SubStep<'_, '_> {
 
     /// Prescribed motion that would change the volume of an enclosed liquid component makes the solve incompatible.
     fn check_squeeze(&mut self) -> Result<(), Error> {
-        let GpuPath {
-            gpu,
-            scene,
-            liquid,
-            solids,
-            coupling,
-            obstacles,
-            readbacks,
-            ..
-        } = &mut *self.path;
+        let GpuPath { gpu, scene, liquid, solids, coupling, obstacles, readbacks, .. } = &mut *self.path;
         let Some((liquid, outcome)) = liquid.as_ref().zip(self.readback.pressure.as_mut()) else {
             return Ok(());
         };
-        if outcome.status != SolveStatus::Converged
-            || outcome.closed_components == 0
-            || !can_squeeze(scene)
-        {
+        if outcome.status != SolveStatus::Converged || outcome.closed_components == 0 || !can_squeeze(scene) {
             return Ok(());
         }
         let clip = coupling.as_ref().map(|coupling| &coupling.clip);
@@ -441,12 +385,7 @@ impl SubStep<'_, '_> {
     }
 
     fn solve_velocity(&mut self) -> Result<(), Error> {
-        let GpuPath {
-            gpu,
-            solids,
-            readbacks,
-            ..
-        } = &mut *self.path;
+        let GpuPath { gpu, solids, readbacks, .. } = &mut *self.path;
         let Some((solids, readbacks)) = solids.as_ref().zip(readbacks.solids.as_mut()) else {
             return Ok(());
         };
@@ -464,14 +403,7 @@ impl SubStep<'_, '_> {
     }
 
     fn diagnose(&mut self) -> Result<(), Error> {
-        let GpuPath {
-            gpu,
-            liquid,
-            solids,
-            coupling,
-            readbacks,
-            ..
-        } = &mut *self.path;
+        let GpuPath { gpu, liquid, solids, coupling, readbacks, .. } = &mut *self.path;
         let mut to = end_recording(&mut self.recorder, gpu);
         let mut liquid = liquid.as_ref().zip(readbacks.liquid.as_mut());
         if let Some((liquid, readback)) = &mut liquid {

@@ -29,9 +29,7 @@ pub fn warnings(scene: &Scene) -> Result<Vec<String>, Error> {
     let mut warnings = Vec::new();
     if !scene.removed.is_empty() {
         let removed = scene.removed.join(", ");
-        warnings.push(format!(
-            "--without also removes what refers to it: {removed}"
-        ));
+        warnings.push(format!("--without also removes what refers to it: {removed}"));
     }
     for (key, length) in geometry::large_meshes(scene)? {
         warnings.push(format!(
@@ -67,9 +65,7 @@ fn obstacle_warnings(scene: &Scene, grid: &Grid, warnings: &mut Vec<String>) -> 
     }
     for number in geometry::covered_probes(scene, grid)? {
         let name = &scene.probes[number].name;
-        warnings.push(format!(
-            "probe \"{name}\" lies in an obstacle and cannot measure the liquid. Move it"
-        ));
+        warnings.push(format!("probe \"{name}\" lies in an obstacle and cannot measure the liquid. Move it"));
     }
     Ok(())
 }
@@ -98,9 +94,8 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
     if scene.solver.solid_contact {
         return;
     }
-    let reach: Vec<[DVec3; 2]> = (0..solids.bodies.len())
-        .map(|number| reach(scene, solids, number, &moved.nodes))
-        .collect();
+    let reach: Vec<[DVec3; 2]> =
+        (0..solids.bodies.len()).map(|number| reach(scene, solids, number, &moved.nodes)).collect();
     let meet = |a: usize, b: usize| {
         let [low, high] = reach[a];
         low.cmplt(reach[b][1]).all()
@@ -131,9 +126,7 @@ fn reach(scene: &Scene, solids: &Solids, number: usize, nodes: &[DVec3]) -> [DVe
     let [low, high] = bounds(&nodes[body.nodes.clone()]);
     let pins = &scene.solids[number].pins;
     let prescribed = &solids.prescribed[body.nodes.clone()];
-    if pins.iter().any(|pin| !pin.keyframes.is_empty())
-        || prescribed.iter().all(|h| *h == [false; 3])
-    {
+    if pins.iter().any(|pin| !pin.keyframes.is_empty()) || prescribed.iter().all(|h| *h == [false; 3]) {
         return [DVec3::ZERO, scene.domain.size];
     }
     let swing = match prescribed.iter().all(|h| *h == [true; 3]) {
@@ -145,17 +138,10 @@ fn reach(scene: &Scene, solids: &Solids, number: usize, nodes: &[DVec3]) -> [DVe
 
 fn bounds(points: &[DVec3]) -> [DVec3; 2] {
     let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-    points
-        .iter()
-        .fold(none, |[low, high], &x| [low.min(x), high.max(x)])
+    points.iter().fold(none, |[low, high], &x| [low.min(x), high.max(x)])
 }
 
-fn material_warnings(
-    scene: &Scene,
-    solids: &Solids,
-    grid: &Grid,
-    warnings: &mut Vec<String>,
-) -> Result<(), Error> {
+fn material_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Vec<String>) -> Result<(), Error> {
     let height = geometry::liquid_height(scene, grid)?;
     let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
     let least = SOFT * density * scene.domain.largest_gravity().length() * height;
@@ -192,19 +178,13 @@ fn layers(solid: &Solid, solids: &Solids, body: &Body) -> Option<f64> {
     if let SolidMesh::Box { size, cells } = solid.mesh {
         let longest = size.max_element();
         let thin = size.to_array().into_iter().zip(cells);
-        return thin
-            .filter(|(side, _)| SLENDER * side <= longest)
-            .map(|(_, n)| n as f64)
-            .reduce(f64::min);
+        return thin.filter(|(side, _)| SLENDER * side <= longest).map(|(_, n)| n as f64).reduce(f64::min);
     }
     let nodes = solids.rest[body.nodes.clone()].to_vec();
     let [low, high] = bounds(&nodes);
     let first = body.nodes.start as u32;
     let elements = solids.elements[body.elements.clone()].iter();
-    let mesh = TetMesh {
-        nodes,
-        elements: elements.map(|e| e.map(|node| node - first)).collect(),
-    };
+    let mesh = TetMesh { nodes, elements: elements.map(|e| e.map(|node| node - first)).collect() };
     let [thickness, layers] = geometry::layers_across(&mesh)?;
     (SLENDER * thickness <= (high - low).max_element()).then_some(layers)
 }

@@ -78,12 +78,7 @@ pub struct RefineSettings {
 }
 
 impl RefineSettings {
-    pub(super) fn new(
-        solver: &Solver,
-        variant: Variant,
-        guesses: bool,
-        n_blocks: usize,
-    ) -> RefineSettings {
+    pub(super) fn new(solver: &Solver, variant: Variant, guesses: bool, n_blocks: usize) -> RefineSettings {
         RefineSettings {
             tolerance: solver.tolerance as f32,
             rounding: rounding(solver) as f32,
@@ -143,13 +138,7 @@ impl Acceptance {
             residual.rr / allowed.max(of_terms).max(SMALLEST)
         };
         let fractions = residuals.iter().enumerate().map(fraction);
-        fractions.fold(0.0, |worst, fraction| {
-            if worst > fraction || worst.is_nan() {
-                worst
-            } else {
-                fraction
-            }
-        })
+        fractions.fold(0.0, |worst, fraction| if worst > fraction || worst.is_nan() { worst } else { fraction })
     }
 
     /// Part of the squared residual at which conjugate gradients end.

@@ -44,13 +44,7 @@ impl Polynomial {
             *weights = [(next * rho) as f32, (2.0 * next / half) as f32, 0.0, 0.0];
             rho = next;
         }
-        Polynomial {
-            degree: degree as u32,
-            wanted: degree as u32,
-            pad_0: 0,
-            pad_1: 0,
-            weights,
-        }
+        Polynomial { degree: degree as u32, wanted: degree as u32, pad_0: 0, pad_1: 0, weights }
     }
 
     /// The same, of solids that ask for this degree.

@@ -46,17 +46,9 @@ pub fn check_contact(solids: &Solids, wet: bool, solver: &Solver, f64: bool) -> 
     surface.dedup();
     match (3 * solids.rest.len(), 3 * surface.len()) {
         _ if !refines(solver, variant(f64, solver.precision)) => limit(1, 0, "outer loop in f64"),
-        _ if wet && solver.formulation == Formulation::TwoField => {
-            limit(1, 0, "solve in the condensed form")
-        }
-        (n, _) if n > MOST_COMPONENTS => {
-            limit(n, MOST_COMPONENTS, "components of the nodes of solids")
-        }
-        (_, n) if wet && n > MOST_WETTED => limit(
-            n,
-            MOST_WETTED,
-            "components of the nodes on surfaces in liquid",
-        ),
+        _ if wet && solver.formulation == Formulation::TwoField => limit(1, 0, "solve in the condensed form"),
+        (n, _) if n > MOST_COMPONENTS => limit(n, MOST_COMPONENTS, "components of the nodes of solids"),
+        (_, n) if wet && n > MOST_WETTED => limit(n, MOST_WETTED, "components of the nodes on surfaces in liquid"),
         _ => Ok(()),
     }
 }
@@ -69,9 +61,7 @@ fn with_four(component: usize) -> usize {
 /// X and W of rows, in vectors with four numbers per node.
 pub(super) fn unilateral(rows: Vec<Row>, n_nodes: usize, factor: &Factor) -> UnilateralRows {
     let rows = rows.into_iter().map(|mut row| {
-        row.entries
-            .iter_mut()
-            .for_each(|entry| entry.0 = with_four(entry.0));
+        row.entries.iter_mut().for_each(|entry| entry.0 = with_four(entry.0));
         row
     });
     UnilateralRows::new(rows.collect(), 4 * n_nodes, |force| factor.solve(&force))
@@ -85,11 +75,7 @@ pub(super) struct NodeReadbacks {
 }
 
 impl NodeReadbacks {
-    pub(super) fn new(
-        gpu: &Gpu,
-        solids: &SolidSystemBuffers,
-        fields: &SolidBuffers,
-    ) -> Result<NodeReadbacks, Error> {
+    pub(super) fn new(gpu: &Gpu, solids: &SolidSystemBuffers, fields: &SolidBuffers) -> Result<NodeReadbacks, Error> {
         let [velocity, rhs] = [&fields.velocity.words, &solids.rhs.words].map(|words| words.len());
         Ok(NodeReadbacks {
             velocity: Readback::new(gpu, "contact.velocity", velocity)?,
@@ -108,10 +94,7 @@ impl NodeReadbacks {
         recorder.read(&fields.velocity.words, &mut self.velocity);
         recorder.read(&solids.rhs.words, &mut self.rhs);
         recorder.submit();
-        Ok([
-            fields.velocity.widen(&self.velocity.wait(gpu)?),
-            solids.rhs.widen(&self.rhs.wait(gpu)?),
-        ])
+        Ok([fields.velocity.widen(&self.velocity.wait(gpu)?), solids.rhs.widen(&self.rhs.wait(gpu)?)])
     }
 }
 
@@ -145,11 +128,7 @@ struct DryReadbacks {
 }
 
 impl DrySystem {
-    pub(super) fn new(
-        gpu: &Gpu,
-        solids: &SolidSystemBuffers,
-        fields: &SolidBuffers,
-    ) -> Result<DrySystem, Error> {
+    pub(super) fn new(gpu: &Gpu, solids: &SolidSystemBuffers, fields: &SolidBuffers) -> Result<DrySystem, Error> {
         let n = solids.sizes.n_nodes as usize;
         let words = solids.variant.real.bytes() / 4;
         Ok(DrySystem {
@@ -173,16 +152,8 @@ impl DrySystem {
         (progress, last): (&mut Option<DryProgress>, bool),
     ) -> Result<Option<[u32; 2]>, Error> {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = self
-            .readbacks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let DryReadbacks {
-            nodes,
-            freedom,
-            rotated,
-            masses,
-        } = &mut *readbacks;
+        let mut readbacks = self.readbacks.lock().unwrap_or_else(PoisonError::into_inner);
+        let DryReadbacks { nodes, freedom, rotated, masses } = &mut *readbacks;
         let [velocity, rhs] = nodes.read(gpu, solids, fields)?;
         let known = progress.as_ref().map_or(&[][..], |before| &before.rows);
         let Some(rows) = rows_of(&three(&velocity), known)? else {
@@ -191,18 +162,9 @@ impl DrySystem {
         if last {
             return Ok(Some([0, (rows.len() - known.len()) as u32]));
         }
-        let DryProgress {
-            velocity, mut rhs, ..
-        } = progress.take().unwrap_or(DryProgress {
-            rows: Vec::new(),
-            velocity,
-            rhs,
-        });
-        *progress = Some(DryProgress {
-            rows: rows.clone(),
-            velocity: velocity.clone(),
-            rhs: rhs.clone(),
-        });
+        let DryProgress { velocity, mut rhs, .. } =
+            progress.take().unwrap_or(DryProgress { rows: Vec::new(), velocity, rhs });
+        *progress = Some(DryProgress { rows: rows.clone(), velocity: velocity.clone(), rhs: rhs.clone() });
         let mut recorder = Recorder::new(gpu);
         recorder.read(&fields.freedom, freedom);
         recorder.read(&fields.rotated.words, rotated);
@@ -219,9 +181,7 @@ impl DrySystem {
         let rows = unilateral(rows, stored.freedom.len(), &factor);
         let found = rows.solve(&velocity);
         let forces = rows.forces(&found.z);
-        rhs.iter_mut()
-            .zip(forces)
-            .for_each(|(rhs, force)| *rhs += force);
+        rhs.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
         solids.rhs.upload(gpu, &rhs);
         Ok(Some([found.pivots, found.wrong]))
     }
@@ -256,17 +216,9 @@ impl<'a> HeldSolve<'a> {
         on_device: &'a RealBuffer,
     ) -> HeldSolve<'a> {
         let lacking = rows.meeting(start);
-        let progress = Progress {
-            lambda: vec![0.0; lacking.len()],
-            lacking,
-        };
+        let progress = Progress { lambda: vec![0.0; lacking.len()], lacking };
         on_device.upload(gpu, rhs);
-        HeldSolve {
-            rows,
-            rhs: rhs.to_vec(),
-            on_device,
-            progress: Mutex::new([progress.clone(), progress]),
-        }
+        HeldSolve { rows, rhs: rhs.to_vec(), on_device, progress: Mutex::new([progress.clone(), progress]) }
     }
 
     fn progress(&self) -> std::sync::MutexGuard<'_, [Progress; 2]> {
@@ -317,22 +269,18 @@ impl<'a> HeldSolve<'a> {
     /// The wet compliance with the rows as equations.
     pub(super) fn compliance(&self, inverse: &Inverse) -> Vec<f32> {
         let nodes = inverse.nodes.iter();
-        let components: Vec<usize> = nodes
-            .flat_map(|&node| [0, 1, 2].map(|axis| 4 * node as usize + axis))
-            .collect();
+        let components: Vec<usize> = nodes.flat_map(|&node| [0, 1, 2].map(|axis| 4 * node as usize + axis)).collect();
         let [left, right] = self.rows.correction(&components, inverse.mass);
         let (n, rank) = (components.len(), left.len() / components.len().max(1));
         let mut w = inverse.wet.clone();
-        w.par_chunks_exact_mut(n.max(1))
-            .enumerate()
-            .for_each(|(i, column)| {
-                let own = &left[rank * i..rank * (i + 1)];
-                for (j, entry) in column.iter_mut().enumerate() {
-                    let other = &right[rank * j..rank * (j + 1)];
-                    let sum: f64 = own.iter().zip(other).map(|(a, b)| a * b).sum();
-                    *entry = (f64::from(*entry) - sum) as f32;
-                }
-            });
+        w.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(i, column)| {
+            let own = &left[rank * i..rank * (i + 1)];
+            for (j, entry) in column.iter_mut().enumerate() {
+                let other = &right[rank * j..rank * (j + 1)];
+                let sum: f64 = own.iter().zip(other).map(|(a, b)| a * b).sum();
+                *entry = (f64::from(*entry) - sum) as f32;
+            }
+        });
         w
     }
 }

@@ -139,13 +139,7 @@ pub(super) struct Case<'a> {
 
 impl<'a> Case<'a> {
     fn new(at: CoupledFields<'a>, degree: usize) -> Case<'a> {
-        Case {
-            at,
-            degree,
-            form: Form::Monolithic,
-            sized: false,
-            again: false,
-        }
+        Case { at, degree, form: Form::Monolithic, sized: false, again: false }
     }
 }
 
@@ -166,9 +160,7 @@ impl CorrectionForm<'_> {
     fn case<'b>(&'b self, again: bool, held: Option<&'b HeldSolve>) -> Case<'b> {
         Case {
             form: match &self.prepared {
-                Some((schur, Prepared::Schur(inverse))) => {
-                    Form::Schur(schur.elimination(self.at, inverse, held))
-                }
+                Some((schur, Prepared::Schur(inverse))) => Form::Schur(schur.elimination(self.at, inverse, held)),
                 Some((_, Prepared::Singular)) => Form::Singular,
                 Some((_, Prepared::Monolithic)) | None => Form::Monolithic,
             },
@@ -215,25 +207,15 @@ impl CoupledSolver {
     /// # Errors
     /// [`Error::Limit`] where the adapter is too small, or the Schur-complement form is required and does not serve.
     pub fn new(gpu: &Gpu, at: CoupledFields, solver: &Solver) -> Result<CoupledSolver, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            fields,
-            coupling,
-            ..
-        } = at;
+        let CoupledFields { liquid, solids, fields, coupling, .. } = at;
         let n_nodes = solids.layout.rows.n_nodes as usize;
         if !gpu.is_planning() {
             check_formulation(n_nodes, solver, liquid.variant)?;
         }
         let polynomial = gpu.uniform("coupled_solver.polynomial", &Polynomial::new(0, 1.0))?;
-        let outer = OuterLoop::new(gpu, Case::new(at, 0), solver, |shared| {
-            Coupled::new(gpu, at, shared, &polynomial, solver)
-        })?;
-        let own = [
-            ("p", (&liquid.potential).into()),
-            ("pushed", (&coupling.difference).into()),
-        ];
+        let outer =
+            OuterLoop::new(gpu, Case::new(at, 0), solver, |shared| Coupled::new(gpu, at, shared, &polynomial, solver))?;
+        let own = [("p", (&liquid.potential).into()), ("pushed", (&coupling.difference).into())];
         let real = liquid.variant.real;
         let push = bind(gpu, &wgsl!("couple_push"), real, own, &at.by_node())?;
         Ok(CoupledSolver {
@@ -285,11 +267,7 @@ impl CoupledSolver {
         polynomial: &Polynomial,
     ) -> Result<(CorrectionForm<'a>, Recorder, StageTimes), Error> {
         let system = &self.outer.system;
-        let mut form = CorrectionForm {
-            at,
-            degree: polynomial.degree as usize,
-            prepared: None,
-        };
+        let mut form = CorrectionForm { at, degree: polynomial.degree as usize, prepared: None };
         let (mut recorder, mut times) = (recorder, StageTimes::new());
         if let Some(schur) = &system.schur {
             let (prepared, stages) = schur.prepare(gpu, recorder, at, polynomial, |pass| {
@@ -316,15 +294,9 @@ impl CoupledSolver {
         (tolerance, again): (f64, bool),
         then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(CoupledOutcome, StageTimes, bool), Error> {
-        let case = Case {
-            sized: false,
-            ..form.case(again, None)
-        };
+        let case = Case { sized: false, ..form.case(again, None) };
         self.clear(gpu, case);
-        let aim = Aim {
-            tolerance,
-            guess: false,
-        };
+        let aim = Aim { tolerance, guess: false };
         let (outcomes, times, read) = self.outer.solve_then(gpu, recorder, case, aim, then)?;
         let outcome = CoupledOutcome::new(&outcomes, form.condenses());
         Ok((outcome, times, read))
@@ -355,14 +327,9 @@ impl CoupledSolver {
         let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
         let (mut outcome, mut stages) = self.solve_form(gpu, recorder, &form, false, None)?;
         times.append(&mut stages);
-        let mut report = ContactReport {
-            solves: 1,
-            unsettled: 0,
-        };
+        let mut report = ContactReport { solves: 1, unsettled: 0 };
         let system = &self.outer.system;
-        let (Some(nodes), Some((schur, Prepared::Schur(inverse)))) =
-            (&system.nodes, &form.prepared)
-        else {
+        let (Some(nodes), Some((schur, Prepared::Schur(inverse)))) = (&system.nodes, &form.prepared) else {
             return Ok((outcome, report, times));
         };
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
@@ -392,10 +359,7 @@ impl CoupledSolver {
                 let recorder = Recorder::timed(gpu);
                 let (next, mut stages) = self.solve_form(gpu, recorder, &form, true, Some(&held))?;
                 times.append(&mut stages);
-                outcome = CoupledOutcome {
-                    iterations: outcome.iterations + next.iterations,
-                    ..next
-                };
+                outcome = CoupledOutcome { iterations: outcome.iterations + next.iterations, ..next };
                 report.solves += 1;
                 [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
                 let (wrong, exchanged) = search.exchange(&rows, &held.lambda(), &velocity);
@@ -466,13 +430,7 @@ impl Coupled {
         polynomial: &Buffer<Polynomial>,
         solver: &Solver,
     ) -> Result<Coupled, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            fields,
-            coupling,
-            ..
-        } = at;
+        let CoupledFields { liquid, solids, fields, coupling, .. } = at;
         let variant = liquid.variant;
         let sized = [("from_args", (&liquid.args).into())];
         let direction = [("p", (&liquid.search).into())];
@@ -482,29 +440,14 @@ impl Coupled {
             guess: solids.bind_guess(gpu, fields)?,
             keep: bind(gpu, &wgsl!("couple_keep"), variant.real, [], &at.by_quad())?,
             residual: Residual::new(gpu, at, shared)?,
-            weight: bind(
-                gpu,
-                &wgsl!("two_field_weight"),
-                variant,
-                [],
-                &[coupling, shared],
-            )?,
-            force: bind(
-                gpu,
-                &wgsl!("couple_force"),
-                variant,
-                direction,
-                &at.by_node(),
-            )?,
+            weight: bind(gpu, &wgsl!("two_field_weight"), variant, [], &[coupling, shared])?,
+            force: bind(gpu, &wgsl!("couple_force"), variant, direction, &at.by_node())?,
             monolithic: Monolithic::new(gpu, at, shared, polynomial, solver)?,
             schur: match solver.formulation {
                 Formulation::TwoField => None,
                 Formulation::Auto | Formulation::Condensed => Schur::new(gpu, at, shared, solver)?,
             },
-            nodes: (solver.solid_contact)
-                .then(|| NodeReadbacks::new(gpu, solids, fields))
-                .transpose()?
-                .map(Mutex::new),
+            nodes: (solver.solid_contact).then(|| NodeReadbacks::new(gpu, solids, fields)).transpose()?.map(Mutex::new),
             base: (variant.real == Real::F32)
                 .then(|| Readback::new(gpu, "coupled_solver.base", coupling.base.words.len()))
                 .transpose()?
@@ -515,19 +458,10 @@ impl Coupled {
 
 impl Residual {
     fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared) -> Result<Residual, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            fields,
-            coupling,
-            ..
-        } = at;
+        let CoupledFields { liquid, solids, fields, coupling, .. } = at;
         let real = liquid.variant.real;
         let v = [("x", (&fields.velocity).into())];
-        let p = [
-            ("p", (&liquid.potential).into()),
-            ("sums", (&solids.partials).into()),
-        ];
+        let p = [("p", (&liquid.potential).into()), ("sums", (&solids.partials).into())];
         Ok(Residual {
             products: solids.bind_products(gpu, fields, &fields.velocity)?,
             solid: solids.bind_residual(gpu, fields)?,
@@ -544,17 +478,8 @@ impl System for Coupled {
 
     /// The state machine knows the quads of the liquid; the solids join as one more partial.
     fn unknowns<'a>(case: Self::Case<'a>) -> Unknowns<'a> {
-        let CoupledFields {
-            liquid,
-            solids,
-            fields,
-            coupling,
-            ..
-        } = case.at;
-        let pressure = Block {
-            args: &coupling.args,
-            ..liquid.block()
-        };
+        let CoupledFields { liquid, solids, fields, coupling, .. } = case.at;
+        let pressure = Block { args: &coupling.args, ..liquid.block() };
         Unknowns {
             group: "coupled_solver",
             blocks: vec![pressure, solids.block(fields)],
@@ -609,13 +534,7 @@ impl System for Coupled {
     }
 
     fn record_residual(&self, pass: &mut Pass, state: &State) {
-        let Residual {
-            products,
-            solid,
-            nodes,
-            quads,
-            sums,
-        } = &self.residual;
+        let Residual { products, solid, nodes, quads, sums } = &self.residual;
         state.in_evaluation(pass, quads);
         self.pressure.record_residual(pass, state);
         for bound in [products, solid, nodes] {
@@ -642,8 +561,7 @@ impl System for Coupled {
         match case.form {
             Form::Schur(_) => pressure(pass),
             Form::Monolithic | Form::Singular => {
-                self.monolithic
-                    .record_preconditioner(pass, state, degree, pressure);
+                self.monolithic.record_preconditioner(pass, state, degree, pressure);
             }
         }
     }
@@ -677,12 +595,7 @@ impl System for Coupled {
         }
     }
 
-    fn on_host<'a>(
-        &self,
-        gpu: &Gpu,
-        case: Self::Case<'a>,
-        _: u32,
-    ) -> Result<HostCoupled<'a>, Error> {
+    fn on_host<'a>(&self, gpu: &Gpu, case: Self::Case<'a>, _: u32) -> Result<HostCoupled<'a>, Error> {
         let base = self.base.as_ref();
         let base = base.expect("made with every solver whose residual the device rounds");
         // A panic in another solve leaves nothing half done here: every use begins with new copies.

@@ -57,11 +57,7 @@ impl HostCoupled<'_> {
     /// J^T p in N, four numbers per node.
     fn force(&self, p: &[f64]) -> Vec<f64> {
         let mut force = vec![0.0; 4 * self.solids.n_nodes()];
-        for pair in self
-            .pairs
-            .iter()
-            .filter(|pair| self.pressure.active[pair.cell])
-        {
+        for pair in self.pairs.iter().filter(|pair| self.pressure.active[pair.cell]) {
             let of_node = &mut force[4 * pair.node..];
             for (force, value) in of_node.iter_mut().zip(pair.value) {
                 *force += self.mass * p[pair.cell] * f64::from(value);

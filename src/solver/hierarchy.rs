@@ -51,12 +51,7 @@ const PROLONG: u32 = 2;
 /// The part of the V-cycle below `plan.tail`, its first sweep excepted.
 fn tail_steps(n_levels: usize) -> Vec<TailStep> {
     let last = n_levels - 1;
-    let step = |op: u32, level: usize, omega: f32| TailStep {
-        op,
-        level: level as u32,
-        omega,
-        pad_0: 0,
-    };
+    let step = |op: u32, level: usize, omega: f32| TailStep { op, level: level as u32, omega, pad_0: 0 };
     let mut steps = Vec::new();
     for level in 0..last {
         steps.push(step(SWEEP, level, OMEGA[1]));
@@ -102,41 +97,19 @@ pub struct Hierarchy {
 impl Hierarchy {
     /// Compiles and binds.
     pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Hierarchy, Error> {
-        let SolverBuffers {
-            plan,
-            variant,
-            z,
-            z_next,
-            ..
-        } = buffers;
+        let SolverBuffers { plan, variant, z, z_next, .. } = buffers;
         let inner = variant.inner;
         let levels = (0..=plan.tail)
             .map(|level| gpu.uniform("solver.level", &plan.level(level)))
             .collect::<Result<Vec<_>, _>>()?;
         let sweep = |omega: f32, ends_cycle: bool| {
-            gpu.uniform(
-                "solver.sweep",
-                &Sweep {
-                    omega,
-                    ends_cycle: ends_cycle.into(),
-                    pad_0: 0,
-                    pad_1: 0,
-                },
-            )
+            gpu.uniform("solver.sweep", &Sweep { omega, ends_cycle: ends_cycle.into(), pad_0: 0, pad_1: 0 })
         };
-        let sweeps = [
-            sweep(OMEGA[0], false)?,
-            sweep(OMEGA[1], false)?,
-            sweep(OMEGA[0], true)?,
-        ];
+        let sweeps = [sweep(OMEGA[0], false)?, sweep(OMEGA[1], false)?, sweep(OMEGA[0], true)?];
         let smooth_level = |level: usize, sweep: &Buffer<Sweep>, to_next: bool| {
             let (x, x_out) = if to_next { (z, z_next) } else { (z_next, z) };
-            let own = [
-                ("level", (&levels[level]).into()),
-                ("sweep", sweep.into()),
-                ("x", x.into()),
-                ("x_out", x_out.into()),
-            ];
+            let own =
+                [("level", (&levels[level]).into()), ("sweep", sweep.into()), ("x", x.into()), ("x_out", x_out.into())];
             bind(gpu, &wgsl!("vcycle_smooth"), inner, own, &[buffers])
         };
         let mut down = Vec::new();
@@ -153,11 +126,7 @@ impl Hierarchy {
             let prolong = bind(gpu, &wgsl!("vcycle_prolong"), inner, own, &[buffers])?;
             down.push([smooth_level(level, &sweeps[1], true)?, restrict]);
             let last = if level == 0 { &sweeps[2] } else { &sweeps[0] };
-            up.push([
-                prolong,
-                smooth_level(level, &sweeps[1], false)?,
-                smooth_level(level, last, true)?,
-            ]);
+            up.push([prolong, smooth_level(level, &sweeps[1], false)?, smooth_level(level, last, true)?]);
         }
         let mut tail: Tail = bytemuck::Zeroable::zeroed();
         for level in plan.tail..plan.len() {
@@ -167,11 +136,7 @@ impl Hierarchy {
         tail.steps[..steps.len()].copy_from_slice(&steps);
         tail.n_steps = steps.len() as u32;
         let tail = gpu.uniform("solver.tail", &tail)?;
-        let own = [
-            ("tail", (&tail).into()),
-            ("x_in", z.into()),
-            ("x", z_next.into()),
-        ];
+        let own = [("tail", (&tail).into()), ("x_in", z.into()), ("x", z_next.into())];
         let tail = bind(gpu, &wgsl!("vcycle_tail"), inner, own, &[buffers])?;
         Ok(Hierarchy { down, tail, up })
     }

@@ -36,16 +36,10 @@ impl HostPressure {
     ) -> Result<HostPressure, Error> {
         let level = buffers.plan.levels[0];
         let readbacks = buffers.to_host.as_ref();
-        let readbacks = readbacks
-            .expect("made with the buffers of every system whose residual the device rounds");
+        let readbacks = readbacks.expect("made with the buffers of every system whose residual the device rounds");
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut readbacks = readbacks.lock().unwrap_or_else(PoisonError::into_inner);
-        let PressureReadbacks {
-            matrix,
-            flags,
-            rhs,
-            labels,
-        } = &mut *readbacks;
+        let PressureReadbacks { matrix, flags, rhs, labels } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
         for (s, section) in matrix.iter_mut().enumerate() {
             recorder.read_part(&buffers.matrix.words, 4 * buffers.plan.total * s, section);
@@ -57,8 +51,7 @@ impl HostPressure {
         }
         recorder.submit();
         let [x, y, z, dirichlet] = matrix;
-        let section =
-            |section: &mut Readback<u32>| Ok::<_, Error>(buffers.matrix.widen(&section.wait(gpu)?));
+        let section = |section: &mut Readback<u32>| Ok::<_, Error>(buffers.matrix.widen(&section.wait(gpu)?));
         let flags = flags.wait(gpu)?;
         // Bits 0 to 3, then 4 to 7: see `shaders/common/active.wgsl`.
         let lanes = |first: usize| {
@@ -113,8 +106,7 @@ impl HostPressure {
                         let mut bx = diagonal * x[c];
                         for (weights, stride) in self.matrix.iter().zip(strides) {
                             diagonal += weights[c] + weights[c + stride];
-                            bx += weights[c] * (x[c] - x[c - stride])
-                                + weights[c + stride] * (x[c] - x[c + stride]);
+                            bx += weights[c] * (x[c] - x[c - stride]) + weights[c + stride] * (x[c] - x[c + stride]);
                         }
                         *r = rhs[c] - bx;
                         rr += *r * *r;
@@ -125,14 +117,8 @@ impl HostPressure {
                 [rr, coupling, dd]
             })
             .collect();
-        let [rr, coupling, dd] =
-            [0, 1, 2].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
-        HostResidual {
-            r,
-            rr,
-            coupling,
-            dd,
-        }
+        let [rr, coupling, dd] = [0, 1, 2].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
+        HostResidual { r, rr, coupling, dd }
     }
 }
 
@@ -142,10 +128,7 @@ impl HostSystem for HostPressure {
     }
 
     fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {
-        let alone = HostResidual {
-            coupling: 0.0,
-            ..self.residual_of(&self.rhs, &x[0])
-        };
+        let alone = HostResidual { coupling: 0.0, ..self.residual_of(&self.rhs, &x[0]) };
         vec![alone]
     }
 

@@ -89,11 +89,7 @@ impl State {
     pub(super) fn new(gpu: &Gpu, unknowns: &Unknowns) -> Result<State, Error> {
         let Variant { real, inner, .. } = unknowns.variant;
         let n_lists = unknowns.n_lists;
-        let folded = if unknowns.long_sums {
-            4 * FOLD_THREADS
-        } else {
-            4
-        };
+        let folded = if unknowns.long_sums { 4 * FOLD_THREADS } else { 4 };
         let label = |name: &str| format!("{}.{name}", unknowns.group);
         Ok(State {
             control: gpu.buffer(&label("control"), 1)?,
@@ -130,11 +126,7 @@ impl State {
     pub(super) fn open(&self, gpu: &Gpu, args: &[u32]) {
         let mut gated = args[..4 * self.n_lists].to_vec();
         for extra in 0..EXTRA_SIZES {
-            gated.extend_from_slice(if extra == EVALUATE {
-                &[0; 4]
-            } else {
-                &args[..4]
-            });
+            gated.extend_from_slice(if extra == EVALUATE { &[0; 4] } else { &args[..4] });
         }
         gpu.upload(&self.gated, &gated);
     }
@@ -165,26 +157,14 @@ impl Fold {
         let mut summed = partials;
         let mut first = None;
         if unknowns.long_sums {
-            let own = [
-                ("level", (&level).into()),
-                args,
-                ("partials", partials.into()),
-                ("folded", folded.into()),
-            ];
+            let own = [("level", (&level).into()), args, ("partials", partials.into()), ("folded", folded.into())];
             first = Some(bind(gpu, &wgsl!("fold_partials"), partials.real, own, &[])?);
             summed = folded;
             total.args = 4 * unknowns.n_lists as u32;
         }
         let totals = gpu.uniform(&format!("{}.totals", unknowns.group), &total)?;
-        let own = [
-            ("totals", (&totals).into()),
-            args,
-            ("partials", summed.into()),
-        ];
-        Ok(Fold {
-            first,
-            last: bind(gpu, source, variant, own, tables)?,
-        })
+        let own = [("totals", (&totals).into()), args, ("partials", summed.into())];
+        Ok(Fold { first, last: bind(gpu, source, variant, own, tables)? })
     }
 
     /// Records the sum outside the gate.
@@ -215,12 +195,7 @@ pub(super) struct Pcg {
 
 impl Pcg {
     /// Compiles and binds; `level` holds that of the unknowns.
-    pub(super) fn new(
-        gpu: &Gpu,
-        unknowns: &Unknowns,
-        level: &Buffer<Level>,
-        state: &State,
-    ) -> Result<Pcg, Error> {
+    pub(super) fn new(gpu: &Gpu, unknowns: &Unknowns, level: &Buffer<Level>, state: &State) -> Result<Pcg, Error> {
         let block = &unknowns.blocks[0];
         let inner = unknowns.variant.inner;
         let own = [
@@ -243,16 +218,8 @@ impl Pcg {
     }
 
     /// Records iterations; those after the last of a refinement step do nothing.
-    pub(super) fn record<S: System>(
-        &self,
-        pass: &mut Pass,
-        state: &State,
-        system: &S,
-        case: S::Case<'_>,
-    ) {
-        let Pace {
-            gates, iterations, ..
-        } = system.pace(case);
+    pub(super) fn record<S: System>(&self, pass: &mut Pass, state: &State, system: &S, case: S::Case<'_>) {
+        let Pace { gates, iterations, .. } = system.pace(case);
         for iteration in 0..gates * iterations {
             if iteration % iterations == 0 {
                 self.record_gate(pass);

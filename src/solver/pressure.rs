@@ -26,10 +26,8 @@ impl PressureSolver {
         open: &Buffer<f32>,
         solver: &Solver,
     ) -> Result<PressureSolver, Error> {
-        OuterLoop::new(gpu, buffers, solver, |shared| {
-            Pressure::new(gpu, buffers, shared, velocity, open, solver)
-        })
-        .map(PressureSolver)
+        OuterLoop::new(gpu, buffers, solver, |shared| Pressure::new(gpu, buffers, shared, velocity, open, solver))
+            .map(PressureSolver)
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome, with a residual in f64: of the host where the device rounds it.
@@ -77,12 +75,7 @@ impl PressureSolver {
 
     /// z = H r, the preconditioner on the system in `buffers`, as PCG evaluates it. `r`, 0 in inactive cells, and the answer are in
     /// the device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
-    pub fn precondition(
-        &self,
-        gpu: &Gpu,
-        buffers: &SolverBuffers,
-        r: &[f64],
-    ) -> Result<Vec<f64>, Error> {
+    pub fn precondition(&self, gpu: &Gpu, buffers: &SolverBuffers, r: &[f64]) -> Result<Vec<f64>, Error> {
         buffers.outer.upload(gpu, r);
         self.0.precondition(gpu, buffers, |pressure, pass, state| {
             pressure.begin(pass, state);
@@ -111,12 +104,7 @@ enum Precondition {
 }
 
 /// The first sweep of a V-cycle, from zero, which the kernels that write r do on the way.
-pub(super) const FIRST_SWEEP: Sweep = Sweep {
-    omega: OMEGA[0],
-    ends_cycle: 0,
-    pad_0: 0,
-    pad_1: 0,
-};
+pub(super) const FIRST_SWEEP: Sweep = Sweep { omega: OMEGA[0], ends_cycle: 0, pad_0: 0, pad_1: 0 };
 
 impl Pressure {
     pub(super) fn new(
@@ -129,21 +117,14 @@ impl Pressure {
     ) -> Result<Pressure, Error> {
         let variant = buffers.variant;
         let level = gpu.uniform("solver.level", &buffers.plan.level(0))?;
-        let [begin_sweep, update_sweep] = [
-            gpu.uniform("solver.sweep", &FIRST_SWEEP)?,
-            gpu.uniform("solver.sweep", &FIRST_SWEEP)?,
-        ];
+        let [begin_sweep, update_sweep] =
+            [gpu.uniform("solver.sweep", &FIRST_SWEEP)?, gpu.uniform("solver.sweep", &FIRST_SWEEP)?];
         let level = [("level", (&level).into())];
         let tables: &[&dyn Arrays] = &[&level, buffers, shared];
         let x = ("x", (&buffers.potential).into());
         let outer_partials = ("partials", (&buffers.outer_partials).into());
         let direction = ("x", (&buffers.search).into());
-        let measured = [
-            ("velocity", velocity.into()),
-            ("open", open.into()),
-            x,
-            outer_partials,
-        ];
+        let measured = [("velocity", velocity.into()), ("open", open.into()), x, outer_partials];
         let begin_sweep = [("sweep", (&begin_sweep).into())];
         let update_sweep = [("sweep", (&update_sweep).into())];
         let residual = [x, outer_partials];
@@ -214,11 +195,7 @@ impl System for Pressure {
             Precondition::Multigrid(_) => 8,
             Precondition::Jacobi(_) => 64,
         };
-        Pace {
-            iterations: BLOCK,
-            gates: iterations / BLOCK,
-            steps: 4,
-        }
+        Pace { iterations: BLOCK, gates: iterations / BLOCK, steps: 4 }
     }
 
     fn record_start(&self, pass: &mut Pass, buffers: &SolverBuffers) {
@@ -249,12 +226,7 @@ impl System for Pressure {
         state.in_update(pass, &self.update);
     }
 
-    fn on_host<'a>(
-        &self,
-        gpu: &Gpu,
-        buffers: Self::Case<'a>,
-        closed: u32,
-    ) -> Result<Self::Host<'a>, Error> {
+    fn on_host<'a>(&self, gpu: &Gpu, buffers: Self::Case<'a>, closed: u32) -> Result<Self::Host<'a>, Error> {
         HostPressure::download(gpu, buffers, closed, |_| {})
     }
 }

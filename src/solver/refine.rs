@@ -11,8 +11,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::Error;
 use crate::gpu::{
-    Arrays, Binding, Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
-    Variant,
+    Arrays, Binding, Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
 };
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
@@ -20,8 +19,8 @@ use crate::step::Stage;
 use crate::wgsl;
 
 use super::acceptance::{
-    Acceptance, REFERENCE, RESIDUAL, RHS, RefineSettings, SCALE, TERMS, evaluation_slot, n_norms,
-    norm_slot, reference, relative,
+    Acceptance, REFERENCE, RESIDUAL, RHS, RefineSettings, SCALE, TERMS, evaluation_slot, n_norms, norm_slot, reference,
+    relative,
 };
 use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
 use super::schur::Elimination;
@@ -141,24 +140,13 @@ pub(super) trait System: Debug {
     fn record_direction(&self, _: &mut Pass, _: &State, _: Self::Case<'_>) {}
 
     /// q = A s on the lists whose dispatch sizes stand in `sizes`, with the partials that give alpha.
-    fn record_operator(
-        &self,
-        pass: &mut Pass,
-        state: &State,
-        sizes: &Buffer<u32>,
-        case: Self::Case<'_>,
-    );
+    fn record_operator(&self, pass: &mut Pass, state: &State, sizes: &Buffer<u32>, case: Self::Case<'_>);
 
     /// x = x + alpha s, r = r - alpha q.
     fn record_update(&self, pass: &mut Pass, state: &State, case: Self::Case<'_>);
 
     /// Reads the system back. `closed`: enclosed components whose right-hand side still has a mean.
-    fn on_host<'a>(
-        &self,
-        gpu: &Gpu,
-        case: Self::Case<'a>,
-        closed: u32,
-    ) -> Result<Self::Host<'a>, Error>;
+    fn on_host<'a>(&self, gpu: &Gpu, case: Self::Case<'a>, closed: u32) -> Result<Self::Host<'a>, Error>;
 }
 
 /// A system in f64 on the host. Vectors by block, in the device layout.
@@ -252,20 +240,13 @@ impl<S: System> OuterLoop<S> {
         system: impl FnOnce(&Shared) -> Result<S, Error>,
     ) -> Result<OuterLoop<S>, Error> {
         let unknowns = S::unknowns(case);
-        let Unknowns {
-            group,
-            blocks,
-            variant,
-            ..
-        } = &unknowns;
+        let Unknowns { group, blocks, variant, .. } = &unknowns;
         let (variant, n_blocks) = (*variant, blocks.len());
         let label = |name: &str| format!("{group}.{name}");
         let state = State::new(gpu, &unknowns)?;
         let norms = RealBuffer::new(gpu, &label("norms"), n_norms(n_blocks), variant.real)?;
-        let levels = blocks
-            .iter()
-            .map(|block| gpu.uniform(&label("level"), &block.level))
-            .collect::<Result<Vec<_>, _>>()?;
+        let levels =
+            blocks.iter().map(|block| gpu.uniform(&label("level"), &block.level)).collect::<Result<Vec<_>, _>>()?;
         let correct = blocks.iter().zip(&levels).map(|(block, level)| {
             let own = [
                 ("level", level.into()),
@@ -281,12 +262,7 @@ impl<S: System> OuterLoop<S> {
         let correct = correct.collect::<Result<_, _>>()?;
         let settings = RefineSettings::new(solver, variant, S::GUESSES, n_blocks);
         let settings = gpu.uniform(&label("refine_settings"), &settings)?;
-        let shared = Shared {
-            state: &state,
-            norms: &norms,
-            level: &levels[0],
-            unknowns: &unknowns,
-        };
+        let shared = Shared { state: &state, norms: &norms, level: &levels[0], unknowns: &unknowns };
         let own = [("settings", (&settings).into())];
         let sum = |source| {
             let sums = [unknowns.outer_partials, &state.outer_folded];
@@ -296,19 +272,13 @@ impl<S: System> OuterLoop<S> {
         let system = system(&shared)?;
         let start = sum(wgsl!("refine_start"))?;
         let accept = sum(wgsl!("refine_accept"))?;
-        let control = Control {
-            max_iterations: solver.max_iterations,
-            n_lists: unknowns.n_lists as u32,
-            ..Control::default()
-        };
+        let control =
+            Control { max_iterations: solver.max_iterations, n_lists: unknowns.n_lists as u32, ..Control::default() };
         gpu.upload(&state.control, &[control]);
         let on_host = on_host(solver, variant);
-        let components = unknowns
-            .components
-            .map(|components| Readback::new(gpu, components.label(), STATE_WORDS));
+        let components = unknowns.components.map(|components| Readback::new(gpu, components.label(), STATE_WORDS));
         let of_blocks = blocks.iter().filter(|_| variant.real == Real::F32);
-        let of_blocks =
-            of_blocks.map(|block| Readback::new(gpu, block.x.words.label(), block.x.words.len()));
+        let of_blocks = of_blocks.map(|block| Readback::new(gpu, block.x.words.label(), block.x.words.len()));
         let args = || Readback::new(gpu, &label("args"), blocks[0].args.len());
         let readbacks = Mutex::new(Readbacks {
             control: Readback::new(gpu, &label("control"), 1)?,
@@ -345,18 +315,12 @@ impl<S: System> OuterLoop<S> {
 
     /// As set for all solves.
     fn aim(&self) -> Aim {
-        Aim {
-            tolerance: self.solver.tolerance,
-            guess: S::GUESSES,
-        }
+        Aim { tolerance: self.solver.tolerance, guess: S::GUESSES }
     }
 
     /// Settings of the solver to a tolerance.
     fn solver_to(&self, tolerance: f64) -> Solver {
-        Solver {
-            tolerance,
-            ..self.solver
-        }
+        Solver { tolerance, ..self.solver }
     }
 
     fn settings(&self, aim: Aim) -> RefineSettings {
@@ -466,9 +430,7 @@ impl<S: System> OuterLoop<S> {
             }
             recorder = match form {
                 Form::Monolithic => Recorder::timed(gpu),
-                Form::Schur(elimination) => {
-                    self.refine_schur(gpu, case, elimination, reading, &mut times)?
-                }
+                Form::Schur(elimination) => self.refine_schur(gpu, case, elimination, reading, &mut times)?,
                 Form::Singular => {
                     let outcomes = self.verified(gpu, case, SolveStatus::Breakdown, reading)?;
                     return Ok((outcomes, times));
@@ -552,9 +514,7 @@ impl<S: System> OuterLoop<S> {
         begin: impl FnOnce(&S, &mut Pass, &State),
     ) -> Result<(), Error> {
         let mut recorder = Recorder::new(gpu);
-        recorder.stage(Stage::Solve.name(), |pass| {
-            self.system.record_set_up(pass, case)
-        });
+        recorder.stage(Stage::Solve.name(), |pass| self.system.record_set_up(pass, case));
         let mut reading = self.submit(gpu, recorder, case, None, &mut StageTimes::new())?;
         let args = gpu.download(S::unknowns(case).blocks[0].args)?;
         self.open(gpu, &mut reading, &args, 1.0);
@@ -570,9 +530,7 @@ impl<S: System> OuterLoop<S> {
 
     fn readbacks(&self) -> MutexGuard<'_, Readbacks> {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        self.readbacks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        self.readbacks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Submits and reads the state back, with four numbers per node of a form that eliminates them.
@@ -585,12 +543,7 @@ impl<S: System> OuterLoop<S> {
         times: &mut StageTimes,
     ) -> Result<Reading, Error> {
         let mut readbacks = self.readbacks();
-        let Readbacks {
-            control,
-            norms,
-            components,
-            ..
-        } = &mut *readbacks;
+        let Readbacks { control, norms, components, .. } = &mut *readbacks;
         recorder.read(&self.state.control, control);
         recorder.read(&self.norms.words, norms);
         if let (Some(words), Some(back)) = (S::unknowns(case).components, components.as_mut()) {
@@ -624,12 +577,7 @@ impl<S: System> OuterLoop<S> {
     }
 
     /// Reads unknowns back, or corrections: of the first blocks as many as there are buffers.
-    fn read_blocks(
-        &self,
-        gpu: &Gpu,
-        from: &[&RealBuffer],
-        correction: bool,
-    ) -> Result<Vec<Vec<f64>>, Error> {
+    fn read_blocks(&self, gpu: &Gpu, from: &[&RealBuffer], correction: bool) -> Result<Vec<Vec<f64>>, Error> {
         let mut readbacks = self.readbacks();
         let mut recorder = Recorder::new(gpu);
         for (from, back) in from.iter().zip(&mut readbacks.blocks) {
@@ -758,11 +706,7 @@ impl<S: System> OuterLoop<S> {
                 .collect();
             let after = system.residuals(&better);
             let worst_after = acceptance.worst(&after, &reading.norms);
-            let Control {
-                status,
-                refinements,
-                ..
-            } = reading.control;
+            let Control { status, refinements, .. } = reading.control;
             let broke_down = status == STATUS_BREAKDOWN;
             if worst_after >= worst && !(broke_down && refinements == 1) {
                 if let Form::Schur(elimination) = form
@@ -802,18 +746,11 @@ impl<S: System> OuterLoop<S> {
     }
 
     /// Submits iterations until the refinement step is over.
-    fn iterate(
-        &self,
-        gpu: &Gpu,
-        case: S::Case<'_>,
-        times: &mut StageTimes,
-    ) -> Result<Control, Error> {
+    fn iterate(&self, gpu: &Gpu, case: S::Case<'_>, times: &mut StageTimes) -> Result<Control, Error> {
         let mut recorder = Recorder::timed(gpu);
         recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
         loop {
-            recorder.stage(Stage::Solve.name(), |pass| {
-                self.record_iterations(pass, case)
-            });
+            recorder.stage(Stage::Solve.name(), |pass| self.record_iterations(pass, case));
             let reading = self.submit(gpu, recorder, case, None, times)?;
             if reading.control.running == 0 {
                 return Ok(reading.control);

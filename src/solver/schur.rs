@@ -10,9 +10,7 @@ use crate::gpu::bind;
 use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
-use crate::gpu::{
-    Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
-};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant};
 use crate::scene::{Formulation, Solver};
 use crate::step::Stage;
 use crate::wgsl;
@@ -138,21 +136,13 @@ impl Elimination<'_> {
         let Inverse { factor, mass, .. } = self.inverse;
         let newtons: Vec<f64> = forces.iter().map(|force| mass * force).collect();
         let mut velocity = factor.solve(&newtons);
-        let lambda = self.held.map_or(Vec::new(), |held| {
-            held.constrain(&newtons, unit, &mut velocity)
-        });
+        let lambda = self.held.map_or(Vec::new(), |held| held.constrain(&newtons, unit, &mut velocity));
         velocity.iter_mut().for_each(|v| *v /= size);
         (velocity, lambda)
     }
 
     /// The correction of the velocities. Held rows get its forces, and the right-hand side with them is returned.
-    pub(super) fn correct(
-        &self,
-        gpu: &Gpu,
-        forces: &[f64],
-        size: f64,
-        unit: f64,
-    ) -> (Vec<f64>, Option<Vec<f64>>) {
+    pub(super) fn correct(&self, gpu: &Gpu, forces: &[f64], size: f64, unit: f64) -> (Vec<f64>, Option<Vec<f64>>) {
         let (velocity, lambda) = self.velocity(forces, size, unit);
         let rhs = self.held.map(|held| held.advance(gpu, &lambda, unit));
         (velocity, rhs)
@@ -208,27 +198,15 @@ pub fn check_formulation(n_nodes: usize, solver: &Solver, variant: Variant) -> R
     };
     match (refines(solver, variant), 3 * n_nodes) {
         (false, _) => limit(1, 0, "outer loop in f64"),
-        (true, n) if n > MOST_COMPONENTS => {
-            limit(n, MOST_COMPONENTS, "components of the nodes of solids")
-        }
+        (true, n) if n > MOST_COMPONENTS => limit(n, MOST_COMPONENTS, "components of the nodes of solids"),
         _ => Ok(()),
     }
 }
 
 impl Schur {
     /// Compiles and binds; `None` where the form does not serve.
-    pub(super) fn new(
-        gpu: &Gpu,
-        at: CoupledFields,
-        shared: &Shared,
-        solver: &Solver,
-    ) -> Result<Option<Schur>, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            coupling,
-            ..
-        } = at;
+    pub(super) fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared, solver: &Solver) -> Result<Option<Schur>, Error> {
+        let CoupledFields { liquid, solids, coupling, .. } = at;
         let rows = &solids.layout;
         let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
         let room = room(rows, solver, liquid.variant);
@@ -256,38 +234,19 @@ impl Schur {
             ("t", (&coupling.difference).into()),
         ];
         let quads = [("x", (&coupling.difference).into())];
-        let force = [
-            level,
-            ("search", (&liquid.search).into()),
-            ("force", (&coupling.t).into()),
-        ];
+        let force = [level, ("search", (&liquid.search).into()), ("force", (&coupling.t).into())];
         let [beta, alpha] = [liquid.plan.level(0).args, shared.unknowns.sums[1]];
-        let unknowns = Unknowns {
-            sums: [beta, alpha],
-            ..shared.unknowns.clone()
-        };
+        let unknowns = Unknowns { sums: [beta, alpha], ..shared.unknowns.clone() };
         Ok(Some(Schur {
             formulation: solver.formulation,
             contact: solver.solid_contact,
             stiffness: StoredStiffness::new(n, &rows.elements),
             wet: bind(gpu, &wgsl!("condensed_wet"), real, wet, &at.by_node())?,
-            begin: bind(
-                gpu,
-                &wgsl!("condensed_begin"),
-                variant,
-                begin,
-                &at.by_quad(),
-            )?,
+            begin: bind(gpu, &wgsl!("condensed_begin"), variant, begin, &at.by_quad())?,
             inverse: [bind(gpu, &wgsl!("condensed_apply"), real, inverse, &[])?],
             quads: bind(gpu, &wgsl!("couple_apply"), variant, quads, &at.by_quad())?,
             alpha: bind_sum(gpu, at, shared, &quads_only, &wgsl!("couple_alpha"))?,
-            force: bind(
-                gpu,
-                &wgsl!("condensed_force"),
-                variant,
-                force,
-                &at.by_node(),
-            )?,
+            force: bind(gpu, &wgsl!("condensed_force"), variant, force, &at.by_node())?,
             pcg: Pcg::new(gpu, &unknowns, shared.level, shared.state)?,
             readbacks: Mutex::new(Readbacks {
                 wet: Readback::new(gpu, "condensed.wet", n)?,
@@ -336,11 +295,7 @@ impl Schur {
         let room = self.nodes.len();
         match self.formulation {
             Formulation::Condensed => room,
-            Formulation::Auto | Formulation::TwoField
-                if self.contact || polynomial.falls_short() =>
-            {
-                room
-            }
+            Formulation::Auto | Formulation::TwoField if self.contact || polynomial.falls_short() => room,
             Formulation::Auto | Formulation::TwoField => room.min(WORTH_WETTED / 3),
         }
     }
@@ -360,16 +315,8 @@ impl Schur {
             pass.dispatch(&self.wet, coupling.n_nodes);
         });
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = self
-            .readbacks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let Readbacks {
-            wet,
-            freedom,
-            rotated,
-            masses,
-        } = &mut *readbacks;
+        let mut readbacks = self.readbacks.lock().unwrap_or_else(PoisonError::into_inner);
+        let Readbacks { wet, freedom, rotated, masses } = &mut *readbacks;
         recorder.read(&self.wet_nodes, wet);
         recorder.read(&at.fields.freedom, freedom);
         recorder.read(&at.fields.rotated.words, rotated);
@@ -402,22 +349,11 @@ impl Schur {
             wet = Vec::new();
         }
         gpu.upload(&self.nodes, &nodes);
-        let wetted = Wetted {
-            n: nodes.len() as u32,
-            ..Wetted::default()
-        };
+        let wetted = Wetted { n: nodes.len() as u32, ..Wetted::default() };
         gpu.upload(&self.wetted, &[wetted]);
-        let quads_only = Coupling {
-            n_nodes: 0,
-            ..coupling.written.sizes
-        };
+        let quads_only = Coupling { n_nodes: 0, ..coupling.written.sizes };
         gpu.upload(&self.quads_only, &[quads_only]);
-        let inverse = Inverse {
-            factor,
-            mass,
-            nodes,
-            wet,
-        };
+        let inverse = Inverse { factor, mass, nodes, wet };
         Ok((Prepared::Schur(inverse), times))
     }
 

@@ -53,11 +53,7 @@ impl ContactSearch {
         fields: &SolidBuffers,
         pushes: &RealBuffer,
     ) -> Result<ContactSearch, Error> {
-        let own = [
-            ("rhs", pushes.into()),
-            ("next", (&buffers.z).into()),
-            ("sums", (&buffers.search).into()),
-        ];
+        let own = [("rhs", pushes.into()), ("next", (&buffers.z).into()), ("sums", (&buffers.search).into())];
         let bound = |source| bind(gpu, &source, buffers.variant, own, &[buffers, fields]);
         Ok(ContactSearch {
             products: buffers.bind_products(gpu, fields, &fields.velocity)?,
@@ -121,18 +117,9 @@ impl SolidContacts {
             touch.push(bound(wgsl!("solid_contacts"))?);
         }
         if let Some(obstacles) = obstacles.filter(|_| !buffers.rows_on_host) {
-            let own = [
-                ("level", obstacles.level.into()),
-                ("distances", obstacles.solid_distance.into()),
-            ];
+            let own = [("level", obstacles.level.into()), ("distances", obstacles.solid_distance.into())];
             let tables: [&dyn Arrays; 2] = [buffers, fields];
-            touch.push(bind(
-                gpu_at,
-                &wgsl!("obstacle_contacts"),
-                variant,
-                own,
-                &tables,
-            )?);
+            touch.push(bind(gpu_at, &wgsl!("obstacle_contacts"), variant, own, &tables)?);
         }
         if fields.plan.n_moving > 0 && !buffers.rows_on_host {
             touch.push(bound(wgsl!("moving_contacts"))?);

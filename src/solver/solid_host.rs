@@ -23,10 +23,7 @@ impl Free {
     pub(super) fn new(&[x, y, z, flags]: &[f32; 4]) -> Free {
         let constrained = DVec3::new(x.into(), y.into(), z.into());
         let bit = |axis: u32| f64::from(flags as u32 >> axis & 1);
-        Free {
-            components: DVec3::new(bit(0), bit(1), bit(2)),
-            constrained: constrained.normalize_or_zero(),
-        }
+        Free { components: DVec3::new(bit(0), bit(1), bit(2)), constrained: constrained.normalize_or_zero() }
     }
 
     pub(super) fn part(&self, y: DVec3) -> DVec3 {
@@ -36,11 +33,7 @@ impl Free {
 
     /// P, of which `part` is the product.
     pub(super) fn projector(&self) -> DMat3 {
-        DMat3::from_cols(
-            self.part(DVec3::X),
-            self.part(DVec3::Y),
-            self.part(DVec3::Z),
-        )
+        DMat3::from_cols(self.part(DVec3::X), self.part(DVec3::Y), self.part(DVec3::Z))
     }
 }
 
@@ -68,19 +61,10 @@ impl HostElastic {
         fields: &SolidBuffers,
     ) -> Result<HostElastic, Error> {
         let readbacks = buffers.to_host.as_ref();
-        let readbacks = readbacks
-            .expect("made with the buffers of every system whose residual the device rounds");
+        let readbacks = readbacks.expect("made with the buffers of every system whose residual the device rounds");
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut readbacks = readbacks.lock().unwrap_or_else(PoisonError::into_inner);
-        let SolidReadbacks {
-            elements,
-            freedom,
-            rotated,
-            masses,
-            rhs,
-            velocity,
-            guess,
-        } = &mut *readbacks;
+        let SolidReadbacks { elements, freedom, rotated, masses, rhs, velocity, guess } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
         recorder.read(&fields.freedom, freedom);
         recorder.read(&fields.rotated.words, rotated);
@@ -88,11 +72,7 @@ impl HostElastic {
         recorder.read(&buffers.rhs.words, rhs);
         recorder.read(&fields.velocity.words, velocity);
         // The second section of the search directions: see solid_guess.
-        recorder.read_part(
-            &buffers.search.words,
-            4 * buffers.sizes.n_nodes as usize,
-            guess,
-        );
+        recorder.read_part(&buffers.search.words, 4 * buffers.sizes.n_nodes as usize, guess);
         recorder.submit();
         Ok(HostElastic {
             elements: elements.clone(),
@@ -174,12 +154,7 @@ impl HostElastic {
             coupling += here.part(added).length_squared();
             dd += here.part(diagonals[node] * x).length_squared();
         }
-        HostResidual {
-            r,
-            rr,
-            coupling,
-            dd,
-        }
+        HostResidual { r, rr, coupling, dd }
     }
 }
 
@@ -187,15 +162,9 @@ impl HostSystem for HostElastic {
     /// v*, unless zero leaves less of the right-hand side.
     fn start(&self) -> Vec<Vec<f64>> {
         let pairs = self.constrained.iter().zip(&self.guess);
-        let guess: Vec<f64> = pairs
-            .map(|(constrained, guess)| constrained + guess)
-            .collect();
+        let guess: Vec<f64> = pairs.map(|(constrained, guess)| constrained + guess).collect();
         let [with, without] = [&guess, &self.constrained].map(|x| self.residual_with(None, x).rr);
-        vec![if with < without {
-            guess
-        } else {
-            self.constrained.clone()
-        }]
+        vec![if with < without { guess } else { self.constrained.clone() }]
     }
 
     fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {

@@ -54,20 +54,10 @@ impl SolidSolver {
         solver: &Solver,
     ) -> Result<SolidSolver, Error> {
         let polynomial = gpu.uniform("solid_solver.polynomial", &Polynomial::new(0, 1.0))?;
-        let case = Case {
-            buffers,
-            fields,
-            degree: 0,
-        };
-        let outer = OuterLoop::new(gpu, case, solver, |shared| {
-            Elastic::new(gpu, case, shared, &polynomial)
-        })?;
+        let case = Case { buffers, fields, degree: 0 };
+        let outer = OuterLoop::new(gpu, case, solver, |shared| Elastic::new(gpu, case, shared, &polynomial))?;
         let rows = || DrySystem::new(gpu, buffers, fields);
-        Ok(SolidSolver {
-            outer,
-            rows: solver.solid_contact.then(rows).transpose()?,
-            polynomial,
-        })
+        Ok(SolidSolver { outer, rows: solver.solid_contact.then(rows).transpose()?, polynomial })
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome, with a residual in f64: of the host where the device rounds it.
@@ -96,10 +86,7 @@ impl SolidSolver {
         (rows_of, most): (RowsOf, u32),
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let (mut outcome, mut times) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
-        let mut report = ContactReport {
-            solves: 1,
-            unsettled: 0,
-        };
+        let mut report = ContactReport { solves: 1, unsettled: 0 };
         let Some(rows) = &self.rows else {
             return Ok((outcome, report, times));
         };
@@ -119,10 +106,7 @@ impl SolidSolver {
             let recorder = Recorder::timed(gpu);
             let (next, mut stages) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
             times.append(&mut stages);
-            outcome = Outcome {
-                iterations: outcome.iterations + next.iterations,
-                ..next
-            };
+            outcome = Outcome { iterations: outcome.iterations + next.iterations, ..next };
         }
         Ok((outcome, report, times))
     }
@@ -141,11 +125,7 @@ impl SolidSolver {
         fields: &SolidBuffers,
         x: &[f64],
     ) -> Result<Vec<f64>, Error> {
-        let case = Case {
-            buffers,
-            fields,
-            degree: 0,
-        };
+        let case = Case { buffers, fields, degree: 0 };
         self.outer.apply(gpu, case, &[x])?;
         buffers.q.download(gpu)
     }
@@ -176,11 +156,7 @@ impl SolidSolver {
         polynomial: &Polynomial,
     ) -> Case<'a> {
         gpu.upload(&self.polynomial, &[*polynomial]);
-        Case {
-            buffers,
-            fields,
-            degree: polynomial.degree as usize,
-        }
+        Case { buffers, fields, degree: polynomial.degree as usize }
     }
 }
 
@@ -216,9 +192,7 @@ pub(super) enum Chebyshev {
 impl Elastic {
     fn new(
         gpu: &Gpu,
-        Case {
-            buffers, fields, ..
-        }: Case,
+        Case { buffers, fields, .. }: Case,
         shared: &Shared,
         polynomial: &Buffer<Polynomial>,
     ) -> Result<Elastic, Error> {
@@ -251,46 +225,21 @@ impl Chebyshev {
         z: &RealBuffer,
     ) -> Result<Chebyshev, Error> {
         let variant = buffers.variant;
-        let own = [
-            ("polynomial", polynomial.into()),
-            ("r", r.into()),
-            ("z", z.into()),
-        ];
-        if in_workgroups(
-            buffers.layout.largest_body(),
-            buffers.sizes.n_bodies as usize,
-        ) {
-            let bound = bind(
-                gpu,
-                &wgsl!("chebyshev_polynomial"),
-                variant,
-                own,
-                &[buffers],
-            )?;
+        let own = [("polynomial", polynomial.into()), ("r", r.into()), ("z", z.into())];
+        if in_workgroups(buffers.layout.largest_body(), buffers.sizes.n_bodies as usize) {
+            let bound = bind(gpu, &wgsl!("chebyshev_polynomial"), variant, own, &[buffers])?;
             return Ok(Chebyshev::Workgroups(bound));
         }
         let sweeps = (0..=MAX_DEGREE as u32).map(|k| {
             let sweep = gpu.uniform("solid_solver.sweep", &[k, 0, 0, 0])?;
             let step = [("sweep", (&sweep).into())];
-            bind(
-                gpu,
-                &wgsl!("chebyshev_sweep"),
-                variant,
-                own,
-                &[&step, buffers],
-            )
+            bind(gpu, &wgsl!("chebyshev_sweep"), variant, own, &[&step, buffers])
         });
         Ok(Chebyshev::Sweeps(sweeps.collect::<Result<_, _>>()?))
     }
 
     /// Records it; `sizes` has the dispatch sizes of nodes and of solids in these slots.
-    pub(super) fn record(
-        &self,
-        pass: &mut Pass,
-        sizes: &Buffer<u32>,
-        [nodes, bodies]: [usize; 2],
-        degree: usize,
-    ) {
+    pub(super) fn record(&self, pass: &mut Pass, sizes: &Buffer<u32>, [nodes, bodies]: [usize; 2], degree: usize) {
         match self {
             Chebyshev::Workgroups(bound) => pass.dispatch_indirect(bound, sizes, bodies),
             Chebyshev::Sweeps(sweeps) => {
@@ -317,9 +266,7 @@ impl System for Elastic {
     const GUESSES: bool = true;
 
     fn unknowns<'a>(case: Self::Case<'a>) -> Unknowns<'a> {
-        let Case {
-            buffers, fields, ..
-        } = case;
+        let Case { buffers, fields, .. } = case;
         Unknowns {
             group: "solid_solver",
             blocks: vec![buffers.block(fields)],
@@ -338,11 +285,7 @@ impl System for Elastic {
     fn pace(&self, case: Case<'_>) -> Pace {
         let dispatches = DISPATCHES + self.preconditioner.dispatches(case.degree);
         let iterations = (AHEAD / dispatches).next_multiple_of(BLOCK).min(CHUNK);
-        Pace {
-            iterations: BLOCK,
-            gates: iterations / BLOCK,
-            steps: STEPS,
-        }
+        Pace { iterations: BLOCK, gates: iterations / BLOCK, steps: STEPS }
     }
 
     fn record_start(&self, pass: &mut Pass, case: Case<'_>) {
@@ -361,8 +304,7 @@ impl System for Elastic {
     }
 
     fn record_preconditioner(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
-        self.preconditioner
-            .record(pass, &state.gated, [NODES, BODIES], case.degree);
+        self.preconditioner.record(pass, &state.gated, [NODES, BODIES], case.degree);
     }
 
     fn record_operator(&self, pass: &mut Pass, _: &State, sizes: &Buffer<u32>, _: Case<'_>) {
@@ -374,12 +316,7 @@ impl System for Elastic {
         state.in_update(pass, &self.update);
     }
 
-    fn on_host<'a>(
-        &self,
-        gpu: &Gpu,
-        case: Self::Case<'a>,
-        _: u32,
-    ) -> Result<Self::Host<'a>, Error> {
+    fn on_host<'a>(&self, gpu: &Gpu, case: Self::Case<'a>, _: u32) -> Result<Self::Host<'a>, Error> {
         HostElastic::download(gpu, case.buffers, case.fields)
     }
 }

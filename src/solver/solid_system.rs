@@ -22,43 +22,20 @@ pub(super) fn corrections(variant: Variant) -> Variant {
 
 impl SolidSystemBuffers {
     /// Binds the products of the elements with a velocity.
-    pub(super) fn bind_products(
-        &self,
-        gpu: &Gpu,
-        fields: &SolidBuffers,
-        x: &RealBuffer,
-    ) -> Result<Bound, Error> {
+    pub(super) fn bind_products(&self, gpu: &Gpu, fields: &SolidBuffers, x: &RealBuffer) -> Result<Bound, Error> {
         let x = [("x", x.into())];
-        bind(
-            gpu,
-            &wgsl!("solid_products"),
-            self.variant,
-            x,
-            &[self, fields],
-        )
+        bind(gpu, &wgsl!("solid_products"), self.variant, x, &[self, fields])
     }
 
     /// Binds P (rhs - S v), given the products with v.
     pub(super) fn bind_residual(&self, gpu: &Gpu, fields: &SolidBuffers) -> Result<Bound, Error> {
         let x = [("x", (&fields.velocity).into())];
-        bind(
-            gpu,
-            &wgsl!("solid_residual"),
-            self.variant,
-            x,
-            &[self, fields],
-        )
+        bind(gpu, &wgsl!("solid_residual"), self.variant, x, &[self, fields])
     }
 
     /// Binds the start of the unknowns, with what is free of v* as a correction on trial.
     pub(super) fn bind_guess(&self, gpu: &Gpu, fields: &SolidBuffers) -> Result<Bound, Error> {
-        bind(
-            gpu,
-            &wgsl!("solid_guess"),
-            self.variant,
-            [],
-            &[self, fields],
-        )
+        bind(gpu, &wgsl!("solid_guess"), self.variant, [], &[self, fields])
     }
 
     /// Velocities as a block of unknowns.
@@ -79,11 +56,7 @@ impl SolidSystemBuffers {
     pub(super) fn level(&self) -> Level {
         let n = self.sizes.n_nodes;
         Level {
-            shape: crate::grid::Layout {
-                quads: n,
-                total: n,
-                ..bytemuck::Zeroable::zeroed()
-            },
+            shape: crate::grid::Layout { quads: n, total: n, ..bytemuck::Zeroable::zeroed() },
             coefficient: 1.0,
             args: 4 * NODES as u32,
             pad_0: 0,
@@ -120,20 +93,8 @@ impl SolidSystem {
         let right_hand_side = wgsl!("solid_right_hand_side");
         Ok(SolidSystem {
             blocks: bind(&at_matrices, &wgsl!("solid_blocks"), variant, [], &tables)?,
-            diagonals: bind(
-                at_right_hand_side,
-                &wgsl!("solid_diagonals"),
-                variant,
-                [],
-                &tables,
-            )?,
-            right_hand_side: bind(
-                at_right_hand_side,
-                &right_hand_side,
-                variant,
-                forces,
-                &tables,
-            )?,
+            diagonals: bind(at_right_hand_side, &wgsl!("solid_diagonals"), variant, [], &tables)?,
+            right_hand_side: bind(at_right_hand_side, &right_hand_side, variant, forces, &tables)?,
             contacts: SolidContacts::new(gpu, buffers, fields, obstacles)?,
             n_entries: buffers.sizes.n_entries as usize,
             n_nodes: buffers.sizes.n_nodes as usize,

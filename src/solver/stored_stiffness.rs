@@ -61,10 +61,7 @@ impl StoredStiffness {
             }
         };
         let factor = symbolic.factorise(&matrix).ok();
-        Ok(factor.map(|cholesky| Factor {
-            cholesky,
-            projectors,
-        }))
+        Ok(factor.map(|cholesky| Factor { cholesky, projectors }))
     }
 
     fn block(&self, stored: &Stored, element: usize, a: usize, b: usize) -> DMat3 {
@@ -93,10 +90,7 @@ impl StoredStiffness {
                 let mean = (diagonal.x_axis.x + diagonal.y_axis.y + diagonal.z_axis.z) / 3.0;
                 let free = projectors[node];
                 let kept = free * diagonal * free + mean * (DMat3::IDENTITY - free);
-                let others = self
-                    .incidence
-                    .blocks(node)
-                    .zip(self.incidence.neighbours(node));
+                let others = self.incidence.blocks(node).zip(self.incidence.neighbours(node));
                 let others = others.map(|(block, &other)| {
                     let joints = self.incidence.joints(block).iter();
                     let sum = joints.fold(DMat3::ZERO, |sum, joint| {
@@ -138,14 +132,10 @@ impl Factor<'_> {
     /// The free part of S^-1 y, four numbers per node in and out.
     pub(super) fn solve(&self, y: &[f64]) -> Vec<f64> {
         let nodes = self.projectors.iter().zip(y.chunks_exact(4));
-        let mut x: Vec<f64> = nodes
-            .flat_map(|(free, y)| (*free * DVec3::from_slice(y)).to_array())
-            .collect();
+        let mut x: Vec<f64> = nodes.flat_map(|(free, y)| (*free * DVec3::from_slice(y)).to_array()).collect();
         self.cholesky.solve(&mut x);
         let nodes = self.projectors.iter().zip(x.as_chunks::<3>().0);
-        nodes
-            .flat_map(|(free, x)| (*free * DVec3::from(*x)).extend(0.0).to_array())
-            .collect()
+        nodes.flat_map(|(free, x)| (*free * DVec3::from(*x)).extend(0.0).to_array()).collect()
     }
 
     /// The part of it among the components of some nodes, times a factor, three columns per node.

@@ -81,12 +81,7 @@ impl Monolithic {
         polynomial: &Buffer<Polynomial>,
         solver: &Solver,
     ) -> Result<Monolithic, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            coupling,
-            ..
-        } = at;
+        let CoupledFields { liquid, solids, coupling, .. } = at;
         let variant = liquid.variant;
         let tables: &[&dyn Arrays] = &[coupling, solids, shared];
         let bound = |source| bind(gpu, &source, variant, [], tables);
@@ -116,13 +111,7 @@ impl Monolithic {
         let [coupling, solids, ..] = at.by_node();
         let x = [("x", t.into())];
         Ok([
-            bind(
-                gpu,
-                &wgsl!("two_field_begin"),
-                real,
-                [],
-                &[coupling, solids, shared],
-            )?,
+            bind(gpu, &wgsl!("two_field_begin"), real, [], &[coupling, solids, shared])?,
             at.solids.bind_products(gpu, at.fields, t)?,
             bind(gpu, &wgsl!("two_field_rhs"), real, [], &at.by_node())?,
             bind(gpu, &wgsl!("couple_begin"), variant, x, &at.by_quad())?,
@@ -185,11 +174,7 @@ impl Monolithic {
 
     /// Kernels over the nodes before B s_p, over the wet quads after it, and of the sum.
     pub(super) fn operator(&self) -> (&[Bound], &Bound, &Bound) {
-        let Operator {
-            nodes,
-            quads,
-            alpha,
-        } = &self.operator;
+        let Operator { nodes, quads, alpha } = &self.operator;
         (nodes, quads, alpha)
     }
 
@@ -199,43 +184,20 @@ impl Monolithic {
 }
 
 impl Factored {
-    fn new(
-        gpu: &Gpu,
-        at: CoupledFields,
-        shared: &Shared,
-        polynomial: &Buffer<Polynomial>,
-    ) -> Result<Factored, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            coupling,
-            ..
-        } = at;
+    fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared, polynomial: &Buffer<Polynomial>) -> Result<Factored, Error> {
+        let CoupledFields { liquid, solids, coupling, .. } = at;
         let sweep = gpu.uniform("coupled_solver.sweep", &FIRST_SWEEP)?;
         let variant = liquid.variant;
-        let right = [
-            ("level", shared.level.into()),
-            ("sweep", (&sweep).into()),
-            ("x", (&coupling.t).into()),
-        ];
+        let right = [("level", shared.level.into()), ("sweep", (&sweep).into()), ("x", (&coupling.t).into())];
         let restored = [("z", (&liquid.z_next).into())];
-        let nodes = [
-            ("p", (&liquid.z_next).into()),
-            ("y", (&coupling.difference).into()),
-        ];
+        let nodes = [("p", (&liquid.z_next).into()), ("y", (&coupling.difference).into())];
         Ok(Factored {
             polynomials: [
                 Chebyshev::new(gpu, solids, polynomial, &solids.r, &coupling.t)?,
                 Chebyshev::new(gpu, solids, polynomial, &coupling.difference, &solids.z)?,
             ],
             right: bind(gpu, &wgsl!("couple_right"), variant, right, &at.by_quad())?,
-            restore: bind(
-                gpu,
-                &wgsl!("couple_restore"),
-                variant,
-                restored,
-                &at.by_quad(),
-            )?,
+            restore: bind(gpu, &wgsl!("couple_restore"), variant, restored, &at.by_quad())?,
             nodes: bind(gpu, &wgsl!("couple_nodes"), variant, nodes, &at.by_node())?,
             z: bind(gpu, &wgsl!("two_field_z"), variant.real, [], &at.by_node())?,
         })
@@ -244,13 +206,7 @@ impl Factored {
 
 impl Operator {
     fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared) -> Result<Operator, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            fields,
-            coupling,
-            ..
-        } = at;
+        let CoupledFields { liquid, solids, fields, coupling, .. } = at;
         let wide = |source| bind(gpu, &source, liquid.variant.real, [], &at.by_node());
         let x = [("x", (&coupling.t).into())];
         Ok(Operator {
@@ -260,13 +216,7 @@ impl Operator {
                 solids.bind_products(gpu, fields, &coupling.difference)?,
                 wide(wgsl!("two_field_apply"))?,
             ],
-            quads: bind(
-                gpu,
-                &wgsl!("couple_apply"),
-                liquid.variant,
-                x,
-                &at.by_quad(),
-            )?,
+            quads: bind(gpu, &wgsl!("couple_apply"), liquid.variant, x, &at.by_quad())?,
             alpha: bind_sum(gpu, at, shared, &coupling.coupling, &wgsl!("couple_alpha"))?,
         })
     }
@@ -280,15 +230,6 @@ pub(super) fn bind_sum(
     sizes: &Buffer<Coupling>,
     source: &Source,
 ) -> Result<Bound, Error> {
-    let own = [
-        ("coupling", sizes.into()),
-        ("all_partials", (&at.liquid.partials).into()),
-    ];
-    bind(
-        gpu,
-        source,
-        at.coupling.variant,
-        own,
-        &[at.coupling, shared],
-    )
+    let own = [("coupling", sizes.into()), ("all_partials", (&at.liquid.partials).into())];
+    bind(gpu, source, at.coupling.variant, own, &[at.coupling, shared])
 }

@@ -35,12 +35,7 @@ impl Jacobi {
         polynomial: &Buffer<Polynomial>,
         kind: Preconditioner,
     ) -> Result<Jacobi, Error> {
-        let CoupledFields {
-            liquid,
-            solids,
-            coupling,
-            ..
-        } = at;
+        let CoupledFields { liquid, solids, coupling, .. } = at;
         let n_nodes = coupling.n_nodes;
         let diagonal = RealBuffer::new(gpu, DIAGONAL, 8 * n_nodes, liquid.variant.real)?;
         let blocks = u32::from(kind == Preconditioner::BlockJacobi);
@@ -50,21 +45,9 @@ impl Jacobi {
         let quads = [("level", level.into()), ("z", (&liquid.z_next).into())];
         Ok(Jacobi {
             n_nodes,
-            set_up: bind(
-                gpu,
-                &wgsl!("two_field_diagonal"),
-                variant,
-                own,
-                &at.by_node(),
-            )?,
+            set_up: bind(gpu, &wgsl!("two_field_diagonal"), variant, own, &at.by_node())?,
             quads: bind(gpu, &wgsl!("couple_jacobi"), variant, quads, &at.by_quad())?,
-            nodes: bind(
-                gpu,
-                &wgsl!("two_field_jacobi"),
-                variant.real,
-                own,
-                &at.by_node(),
-            )?,
+            nodes: bind(gpu, &wgsl!("two_field_jacobi"), variant.real, own, &at.by_node())?,
             polynomial: Chebyshev::new(gpu, solids, polynomial, &solids.r, &coupling.t)?,
         })
     }
@@ -75,13 +58,7 @@ impl Jacobi {
     }
 
     /// Records z_p of the wet quads, after that of B alone, and z_v. `sizes`, and the slots of nodes, solids and wet quads in it.
-    pub(super) fn record(
-        &self,
-        pass: &mut Pass,
-        sizes: &Buffer<u32>,
-        [nodes, bodies, wet]: [usize; 3],
-        degree: usize,
-    ) {
+    pub(super) fn record(&self, pass: &mut Pass, sizes: &Buffer<u32>, [nodes, bodies, wet]: [usize; 3], degree: usize) {
         self.polynomial.record(pass, sizes, [nodes, bodies], degree);
         pass.dispatch_indirect(&self.quads, sizes, wet);
         pass.dispatch_indirect(&self.nodes, sizes, nodes);

@@ -55,19 +55,13 @@ impl Weak {
     ) -> Result<Weak, Error> {
         let real = liquid.variant.real;
         let before = [("x", (&buffers.before).into())];
-        let pushed = [
-            ("p", (&liquid.potential).into()),
-            ("node_flags", (&fields.flags).into()),
-        ];
+        let pushed = [("p", (&liquid.potential).into()), ("node_flags", (&fields.flags).into())];
         let at_components = gpu.at(Stage::ClosedComponents.name());
         let against = |source, own| bind(&at_components, &source, real, own, &[coupling, liquid]);
         let at_solve = gpu.at(Stage::Solve.name());
         let tables: [&dyn Arrays; 3] = [coupling, solids, liquid];
         Ok(Weak {
-            against: [
-                against(wgsl!("couple_keep"), before)?,
-                against(wgsl!("couple_residual"), before)?,
-            ],
+            against: [against(wgsl!("couple_keep"), before)?, against(wgsl!("couple_residual"), before)?],
             push: bind(&at_solve, &wgsl!("weak_push"), real, pushed, &tables)?,
             n_quads: coupling.size.quads,
             n_nodes: coupling.n_nodes,

@@ -19,10 +19,7 @@ pub struct Within<'a> {
 impl LiquidBuffers {
     /// The band, to which the search for active cells is limited.
     pub fn within(&self) -> Within<'_> {
-        Within {
-            list: &self.band_list,
-            args: &self.band_args,
-        }
+        Within { list: &self.band_list, args: &self.band_args }
     }
 }
 
@@ -74,10 +71,7 @@ pub struct FreeSurface {
 impl From<f64> for FreeSurface {
     /// On the surface of a liquid between walls.
     fn from(theta_floor: f64) -> FreeSurface {
-        FreeSurface {
-            theta_floor,
-            open_sides: false,
-        }
+        FreeSurface { theta_floor, open_sides: false }
     }
 }
 
@@ -106,29 +100,14 @@ impl PressureSystem {
         free_surface: impl Into<FreeSurface>,
     ) -> Result<PressureSystem, Error> {
         let gpu = &gpu.at(Stage::ActiveCells.name());
-        let FreeSurface {
-            theta_floor,
-            open_sides,
-        } = free_surface.into();
-        let SolverBuffers {
-            plan,
-            variant,
-            flags,
-            list,
-            args,
-            scratch,
-            ..
-        } = buffers;
+        let FreeSurface { theta_floor, open_sides } = free_surface.into();
+        let SolverBuffers { plan, variant, flags, list, args, scratch, .. } = buffers;
         let inner = variant.inner;
         let levels = (0..plan.len())
             .map(|level| gpu.uniform("solver.level", &plan.level(level)))
             .collect::<Result<Vec<_>, _>>()?;
-        let settings = ActiveSettings {
-            theta_floor: theta_floor as f32,
-            open_sides: open_sides.into(),
-            pad_0: 0.0,
-            pad_1: 0.0,
-        };
+        let settings =
+            ActiveSettings { theta_floor: theta_floor as f32, open_sides: open_sides.into(), pad_0: 0.0, pad_1: 0.0 };
         let settings = gpu.uniform("solver.active_settings", &settings)?;
         let clear_system = levels.iter().map(|level| {
             let own = [("level", level.into())];
@@ -156,12 +135,7 @@ impl PressureSystem {
                 Compaction::new(gpu, &kernels, flags, list, args, scratch, range, level)
             })
             .collect::<Result<Vec<_>, _>>()?;
-        Ok(PressureSystem {
-            clear_system,
-            active_cells,
-            coarsen,
-            compact,
-        })
+        Ok(PressureSystem { clear_system, active_cells, coarsen, compact })
     }
 
     /// Records the stage. `buffers` and `within`: those it was made with.

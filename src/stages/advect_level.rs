@@ -25,10 +25,7 @@ pub fn advect_level(
     };
     let list = [
         over_band(wgsl!("advect_level"), &[distances, departures])?,
-        over_band(
-            wgsl!("component_origins"),
-            &[("labels", (&level.component).into()), departures],
-        )?,
+        over_band(wgsl!("component_origins"), &[("labels", (&level.component).into()), departures])?,
         over_band(wgsl!("correct_level"), &[distances])?,
     ];
     Ok(Dispatches::new(Stage::AdvectLevel.name(), list))

@@ -39,14 +39,8 @@ pub fn advect_markers(
             vec![over_markers(bound)]
         }
         None => vec![
-            kernel(wgsl!("surface_distance"))?
-                .bind(gpu, &[], &[liquid])?
-                .indirect(&liquid.band_args, 0),
-            over_markers(kernel(wgsl!("advect_markers"))?.bind(
-                gpu,
-                &to_surface,
-                &[liquid, solver],
-            )?),
+            kernel(wgsl!("surface_distance"))?.bind(gpu, &[], &[liquid])?.indirect(&liquid.band_args, 0),
+            over_markers(kernel(wgsl!("advect_markers"))?.bind(gpu, &to_surface, &[liquid, solver])?),
         ],
     };
     if liquid.plan.effects.cuts() {

@@ -22,10 +22,7 @@ pub fn ballistic_bodies(
         let release = kernel(&wgsl!("release_bodies"))?.bind(gpu, &[], &[solids])?;
         list.push(release.threads(threads));
         if let Some(obstacles) = obstacles {
-            let own = [
-                ("level", obstacles.level.into()),
-                ("distances", obstacles.solid_distance.into()),
-            ];
+            let own = [("level", obstacles.level.into()), ("distances", obstacles.solid_distance.into())];
             let hold = kernel(&wgsl!("hold_at_obstacles"))?.bind(gpu, &own, &[solids])?;
             list.push(hold.threads(threads));
         }
@@ -44,17 +41,9 @@ pub fn wet_bodies(
     let threads = BODY_THREADS * solids.plan.n_free;
     let mut list = Vec::new();
     if threads > 0 {
-        let kernel = Kernel::new(
-            gpu,
-            &wgsl!("hold_in_liquid"),
-            Variant::from(solids.plan.real),
-        )?;
+        let kernel = Kernel::new(gpu, &wgsl!("hold_in_liquid"), Variant::from(solids.plan.real))?;
         let own = [("flags", (&solver.flags).into())];
-        list.push(
-            kernel
-                .bind(gpu, &own, &[coupling, solids])?
-                .threads(threads),
-        );
+        list.push(kernel.bind(gpu, &own, &[coupling, solids])?.threads(threads));
     }
     Ok(Dispatches::new(Stage::MoveSolid.name(), list))
 }

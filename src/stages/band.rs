@@ -15,11 +15,7 @@ use crate::fields::{LevelBuffers, LiquidBuffers, TILE};
 
 /// The stage. Runs in every sub-step with markers, and once after the state is written with `surface = "fixed"`.
 /// Before the level moves.
-pub fn band(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: Option<&LevelBuffers>,
-) -> Result<Dispatches, Error> {
+pub fn band(gpu: &Gpu, liquid: &LiquidBuffers, level: Option<&LevelBuffers>) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Band.name());
     let bound = |source| Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid]);
     let n_tiles = liquid.plan.tiles().len();

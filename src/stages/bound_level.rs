@@ -7,11 +7,7 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage: writes `new_level` from `carried_level` and `occupancy`, and `thin`, which `filter_level` reads.
-pub fn bound_level(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn bound_level(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::BoundLevel.name());
     let over_band = |source: Source, own: &[(&str, Binding)]| {
         let bound = Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, level])?;
@@ -19,10 +15,7 @@ pub fn bound_level(
     };
     // The marks of thick liquid, which spread along one axis per kernel.
     let marks = [&level.thin, &level.thin_next];
-    let spread = [
-        ("thick_in", marks[0].into()),
-        ("thick_out", marks[1].into()),
-    ];
+    let spread = [("thick_in", marks[0].into()), ("thick_out", marks[1].into())];
     let list = [
         over_band(wgsl!("mark_thick"), &[("thick", marks[0].into())])?,
         over_band(wgsl!("spread_thick"), &spread)?,

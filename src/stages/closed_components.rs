@@ -124,12 +124,7 @@ struct Means {
 }
 
 impl Means {
-    fn new(
-        gpu: &Gpu,
-        buffers: &SolverBuffers,
-        field: &RealBuffer,
-        largest: u32,
-    ) -> Result<Means, Error> {
+    fn new(gpu: &Gpu, buffers: &SolverBuffers, field: &RealBuffer, largest: u32) -> Result<Means, Error> {
         let settings = gpu.uniform("solver.closed_settings", &[largest, 0, 0, 0])?;
         let own = [
             ("settings", (&settings).into()),

@@ -6,8 +6,7 @@
 
 use crate::Error;
 use crate::fields::{
-    ClipBuffers, CouplingBuffers, CouplingReport, LevelBuffers, LiquidBuffers, SolidBuffers,
-    SolverBuffers,
+    ClipBuffers, CouplingBuffers, CouplingReport, LevelBuffers, LiquidBuffers, SolidBuffers, SolverBuffers,
 };
 use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Source, Variant};
 use crate::step::Stage;
@@ -50,11 +49,7 @@ pub fn diagnose(
         Some(_) => wgsl!("measure_uncut_divergence"),
         None => wgsl!("measure_divergence"),
     };
-    let divergence = Kernel::new(gpu, &divergence, with_flux(real))?.bind(
-        gpu,
-        &open,
-        &[&clip, solver, liquid],
-    )?;
+    let divergence = Kernel::new(gpu, &divergence, with_flux(real))?.bind(gpu, &open, &[&clip, solver, liquid])?;
     list.push(divergence.indirect(&solver.args, 0));
     if let Some((_, coupling, x)) = solids {
         let own = [("x", x.into()), open[0]];
@@ -74,10 +69,8 @@ pub fn diagnose(
 pub fn diagnose_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
     let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind(gpu, &[], &[solids]);
-    let list = [
-        bound(wgsl!("measure_solid"))?.threads(solids.plan.n_summing()),
-        bound(wgsl!("report_solid"))?.threads(1),
-    ];
+    let list =
+        [bound(wgsl!("measure_solid"))?.threads(solids.plan.n_summing()), bound(wgsl!("report_solid"))?.threads(1)];
     Ok(Dispatches::new(Stage::Diagnose.name(), list).clearing(&solids.extremes))
 }
 
@@ -91,11 +84,8 @@ pub fn diagnose_coupling(
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
     let own = [("p", (&solver.potential).into())];
-    let measure = Kernel::new(gpu, &wgsl!("measure_coupling"), coupling.partials.real)?.bind(
-        gpu,
-        &own,
-        &[coupling, solver],
-    )?;
+    let measure =
+        Kernel::new(gpu, &wgsl!("measure_coupling"), coupling.partials.real)?.bind(gpu, &own, &[coupling, solver])?;
     let mut list = vec![measure.threads(coupling.n_nodes)];
     let forces = [(&coupling.partials, CouplingReport::FORCE)].into_iter();
     let corrections = correction.map(|correction| (correction, CouplingReport::CORRECTION));

@@ -12,8 +12,5 @@ pub fn element_rotations(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches,
     let gpu = &gpu.at(Stage::SolidMatrices.name());
     let kernel = Kernel::new(gpu, &wgsl!("element_rotations"), solids.plan.real)?;
     let element_rotations = kernel.bind(gpu, &[], &[solids])?;
-    Ok(Dispatches::new(
-        Stage::SolidMatrices.name(),
-        [element_rotations.threads(solids.plan.n_elements)],
-    ))
+    Ok(Dispatches::new(Stage::SolidMatrices.name(), [element_rotations.threads(solids.plan.n_elements)]))
 }

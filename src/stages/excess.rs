@@ -8,11 +8,7 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage, after `liquid_components`: writes `excess`. Empty without volume control.
-pub fn excess(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn excess(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Excess.name());
     let mut list = Vec::new();
     if liquid.plan.effects.volume_shift {

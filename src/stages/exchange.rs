@@ -62,8 +62,7 @@ impl Sources {
         let carry_faces = bound(Stage::WriteBack, wgsl!("carry_faces"))?.threads(self.n_faces);
         Ok([
             Dispatches::new(Stage::Exchange.name(), exchange).clearing(&self.counts),
-            Dispatches::new(Stage::Forces.name(), [hold_faces])
-                .copying(&liquid.open, liquid.solve_open()),
+            Dispatches::new(Stage::Forces.name(), [hold_faces]).copying(&liquid.open, liquid.solve_open()),
             Dispatches::new(Stage::WriteBack.name(), [carry_faces]),
         ])
     }

@@ -20,9 +20,8 @@ pub fn extrapolate(
     let bound = |source: Source, own: &[(&str, Binding)]| {
         Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, &clip])
     };
-    let over_band = |source: Source, own: &[(&str, Binding)]| {
-        Ok::<_, Error>(bound(source, own)?.indirect(&liquid.band_args, 0))
-    };
+    let over_band =
+        |source: Source, own: &[(&str, Binding)]| Ok::<_, Error>(bound(source, own)?.indirect(&liquid.band_args, 0));
     let cuts = liquid.plan.effects.cuts();
     let mut list = Vec::new();
     if cuts {
@@ -33,10 +32,7 @@ pub fn extrapolate(
     let flags = [&liquid.valid, &liquid.valid_next];
     let n_layers = extrapolation_layers(liquid.plan.cfl);
     for n in 0..n_layers {
-        let ends = [
-            ("valid_in", flags[n % 2].into()),
-            ("valid_out", flags[1 - n % 2].into()),
-        ];
+        let ends = [("valid_in", flags[n % 2].into()), ("valid_out", flags[1 - n % 2].into())];
         list.push(over_band(wgsl!("extrapolate_layer"), &ends)?);
         if n == 0 && liquid.plan.effects.maccormack {
             list.push(over_band(wgsl!("extrapolate_slope"), &ends[..1])?);

@@ -11,10 +11,7 @@ use crate::wgsl;
 pub fn forces(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Forces.name());
     let forces = Kernel::new(gpu, &wgsl!("forces"), Real::F32)?.bind(gpu, &[], &[liquid])?;
-    Ok(Dispatches::new(
-        Stage::Forces.name(),
-        [forces.indirect(&liquid.band_args, 0)],
-    ))
+    Ok(Dispatches::new(Stage::Forces.name(), [forces.indirect(&liquid.band_args, 0)]))
 }
 
 /// Forces on the nodes of solids: `velocity` in place.
@@ -22,8 +19,5 @@ pub fn node_forces(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error
     let gpu = &gpu.at(Stage::Forces.name());
     let kernel = Kernel::new(gpu, &wgsl!("node_forces"), solids.plan.real)?;
     let node_forces = kernel.bind(gpu, &[], &[solids])?;
-    Ok(Dispatches::new(
-        Stage::Forces.name(),
-        [node_forces.threads(solids.plan.n_nodes)],
-    ))
+    Ok(Dispatches::new(Stage::Forces.name(), [node_forces.threads(solids.plan.n_nodes)]))
 }

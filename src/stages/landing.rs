@@ -9,11 +9,7 @@ use crate::wgsl;
 
 /// The stage: writes `velocity_next`, `marker_velocity` of what lands and `component_flights`. Runs between `marker_band` and the
 /// solve.
-pub fn landing(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn landing(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Landing.name());
     let bound = |source: Source, own: &[(&str, Binding)]| {
         Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, level])

@@ -27,11 +27,7 @@ pub fn exchange_level(
     };
     let mut list = Vec::new();
     if let Some(sources) = taps.sources {
-        let fill = bound(
-            gpu,
-            wgsl!("fill_sources"),
-            &[liquid, level, exchange, sources],
-        )?;
+        let fill = bound(gpu, wgsl!("fill_sources"), &[liquid, level, exchange, sources])?;
         list.push(fill.threads(exchange.n_fills()));
     }
     let mut settle = Vec::new();
@@ -41,11 +37,7 @@ pub fn exchange_level(
         settle.push(cells);
     }
     if let Some(sinks) = taps.sinks {
-        let sink = bound(
-            gpu,
-            wgsl!("sink_volumes"),
-            &[liquid, level, exchange, sinks],
-        )?;
+        let sink = bound(gpu, wgsl!("sink_volumes"), &[liquid, level, exchange, sinks])?;
         list.push(sink.threads(sinks.cells.len()));
         settle.push(&sinks.cells);
     }
@@ -90,11 +82,7 @@ fn add_sources(
     exchange: &LevelExchange,
     sources: &Sources,
 ) -> Result<Vec<Dispatch>, Error> {
-    let count = bound(
-        gpu,
-        wgsl!("count_labelled"),
-        &[sources, liquid, level, exchange],
-    )?;
+    let count = bound(gpu, wgsl!("count_labelled"), &[sources, liquid, level, exchange])?;
     let kernel = Kernel::new(gpu, &wgsl!("add_sources"), Real::F32)?;
     let sums = [("sums", (&level.density_next).into())];
     let add = kernel.bind(gpu, &sums, &[sources, liquid, level, exchange])?;

@@ -27,9 +27,8 @@ pub fn liquid_components(
     let bound = |source: Source, own: &[(&str, Binding)]| {
         Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, level])
     };
-    let over_band = |source: Source, own: &[(&str, Binding)]| {
-        Ok::<_, Error>(bound(source, own)?.indirect(&liquid.band_args, 0))
-    };
+    let over_band =
+        |source: Source, own: &[(&str, Binding)]| Ok::<_, Error>(bound(source, own)?.indirect(&liquid.band_args, 0));
     let labels = ("labels", (&level.component).into());
     let mut list = vec![
         bound(wgsl!("clear_labels"), &[])?.threads(TILE * liquid.plan.tiles().len()),
@@ -39,10 +38,7 @@ pub fn liquid_components(
     ];
     for number in 1..=AIR_LAYERS {
         let layer = gpu.uniform("level.layer", &[number, 0, 0, 0])?;
-        list.push(over_band(
-            wgsl!("label_air"),
-            &[labels, ("layer", (&layer).into())],
-        )?);
+        list.push(over_band(wgsl!("label_air"), &[labels, ("layer", (&layer).into())])?);
     }
     let sums_in = |sums| [("sums", sums)];
     let volumes = sums_in((&level.component_sums).into());
@@ -59,20 +55,14 @@ pub fn liquid_components(
     list.extend(limits);
     let stage = Dispatches::new(Stage::LiquidComponents.name(), list);
     let stage = stage.clearing(&level.component_totals);
-    Ok(
-        match taps.level.and_then(|exchange| exchange.labelled.as_ref()) {
-            Some(labelled) => stage.clearing(labelled),
-            None => stage,
-        },
-    )
+    Ok(match taps.level.and_then(|exchange| exchange.labelled.as_ref()) {
+        Some(labelled) => stage.clearing(labelled),
+        None => stage,
+    })
 }
 
 /// The part of `spray` after all markers: adds the flights in `component_flights` to the targets.
-pub fn settle_flights(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatch, Error> {
+pub fn settle_flights(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatch, Error> {
     let gpu = &gpu.at(Stage::Spray.name());
     let kernel = Kernel::new(gpu, &wgsl!("settle_flights"), Real::F32)?;
     let bound = kernel.bind(gpu, &[], &[liquid, level])?;

@@ -60,11 +60,7 @@ fn of_spheres(gpu: &Gpu, liquid: &LiquidBuffers, n_markers: usize) -> Result<Vec
 }
 
 /// dx times the level, extended into bodies.
-fn of_level(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Vec<Dispatch>, Error> {
+fn of_level(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Vec<Dispatch>, Error> {
     let mut list = extend_level(gpu, liquid, level)?;
     let kernel = Kernel::new(gpu, &wgsl!("level_distance"), Real::F32)?;
     let bound = kernel.bind(gpu, &[], &[liquid, level])?;
@@ -76,10 +72,7 @@ fn of_level(
 fn volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatch; 2], Error> {
     let real = liquid.plan.real;
     let bound = |source: Source| Kernel::new(gpu, &source, real)?.bind(gpu, &[], &[liquid]);
-    Ok([
-        bound(wgsl!("measure_volume"))?.threads(liquid.plan.n_summing()),
-        bound(wgsl!("volume_rate"))?.threads(1),
-    ])
+    Ok([bound(wgsl!("measure_volume"))?.threads(liquid.plan.n_summing()), bound(wgsl!("volume_rate"))?.threads(1)])
 }
 
 /// The part that measures the volume of a liquid distance.
@@ -88,10 +81,7 @@ fn volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatch; 2], Error> {
 /// As [`Kernel::new`] and [`Kernel::bind`].
 pub fn measure_volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::LiquidDistance.name());
-    Ok(Dispatches::new(
-        Stage::LiquidDistance.name(),
-        volume(gpu, liquid)?,
-    ))
+    Ok(Dispatches::new(Stage::LiquidDistance.name(), volume(gpu, liquid)?))
 }
 
 /// Passes of the extension into solids, alternating between `liquid_distance` and `velocity`, which is free from
@@ -100,26 +90,17 @@ fn extension(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Vec<Dispatch>, Error> 
     // `velocity` is `extended_distance` of the table.
     let ends = [&liquid.liquid_distance, &liquid.velocity];
     let between = |source: Source, from: usize| {
-        let ends = [
-            ("distance_in", ends[from].into()),
-            ("distance_out", ends[1 - from].into()),
-        ];
+        let ends = [("distance_in", ends[from].into()), ("distance_out", ends[1 - from].into())];
         let bound = Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &ends, &[liquid])?;
         Ok(bound.indirect(&liquid.band_args, 0))
     };
     let passes = (0..PASSES).map(|n| between(wgsl!("extend_into_solids"), n % 2));
-    passes
-        .chain([between(wgsl!("finish_extension"), PASSES % 2)])
-        .collect()
+    passes.chain([between(wgsl!("finish_extension"), PASSES % 2)]).collect()
 }
 
 /// Extends `new_level` into bodies, with `next_level` between the passes. Cells that no pass reaches are unknown
 /// (`common/unknown.wgsl`). Nothing without bodies.
-pub(super) fn extend_level(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Vec<Dispatch>, Error> {
+pub(super) fn extend_level(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Vec<Dispatch>, Error> {
     if !liquid.plan.effects.cuts() {
         return Ok(Vec::new());
     }
@@ -129,10 +110,7 @@ pub(super) fn extend_level(
     };
     let levels = [&level.next_level, &level.new_level];
     let pass = |n: usize| {
-        let ends = [
-            ("distance_in", levels[n % 2].into()),
-            ("distance_out", levels[1 - n % 2].into()),
-        ];
+        let ends = [("distance_in", levels[n % 2].into()), ("distance_out", levels[1 - n % 2].into())];
         over_band(wgsl!("extend_level"), &ends)
     };
     let forget = [over_band(wgsl!("forget_in_solids"), &[])];

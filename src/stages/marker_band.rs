@@ -10,11 +10,7 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The rest of the seeds of the sub-step, in slots that were freed after it ([`LevelBuffers::write_freed`]).
-pub fn seed_rest(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn seed_rest(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::MarkerBand.name());
     let list = [seed_band(gpu, liquid, level)?];
     Ok(Dispatches::new(Stage::MarkerBand.name(), list))
@@ -29,11 +25,7 @@ fn seed_band(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<
 
 /// The stage: writes `markers`, `marker_velocity` of seeds, the number of used slots in `marker_args`, and the numbers of
 /// markers of the sub-step in `report`.
-pub fn marker_band(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn marker_band(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::MarkerBand.name());
     let kernel = |source: Source| Kernel::new(gpu, &source, Real::F32);
     // The scratch memory of the compaction in `band` is free.

@@ -66,9 +66,7 @@ pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
 pub use probe::{Probe, ProbePoint, ProbeRectangle};
 pub use redistance::redistance;
 pub use right_hand_side::right_hand_side;
-pub use separation::{
-    MAX_ROUNDS, RoundSums, Separation, SeparationRound, SeparationSettings, separated_flux,
-};
+pub use separation::{MAX_ROUNDS, RoundSums, Separation, SeparationRound, SeparationSettings, separated_flux};
 pub use spray::spray;
 pub use volume_shift::volume_shift;
 pub use write_back::write_back;

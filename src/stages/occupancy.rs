@@ -7,14 +7,9 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage: writes `occupancy` from the markers and `carried_level`. Uses `marker_weights`.
-pub fn occupancy(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn occupancy(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Occupancy.name());
-    let bound =
-        |source: Source| Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid, level]);
+    let bound = |source: Source| Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid, level]);
     let over_band = |bound: Bound| bound.indirect(&liquid.band_args, 0);
     let list = [
         bound(wgsl!("weigh_markers"))?.indirect(&level.marker_args, 0),

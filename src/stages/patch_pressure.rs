@@ -67,13 +67,8 @@ impl PatchPressure {
         let (size, n) = (coupling.size, coupling.n_nodes);
         let variant = liquid.variant;
         let everywhere = vec![everywhere(at_rest); 4 * size.quads];
-        let slope = gpu.uniform(
-            "patch_pressure.slope",
-            &PressureSlope {
-                at_rest: at_rest.as_vec3().to_array(),
-                scale: 0.0,
-            },
-        )?;
+        let slope =
+            gpu.uniform("patch_pressure.slope", &PressureSlope { at_rest: at_rest.as_vec3().to_array(), scale: 0.0 })?;
         let moments = gpu.buffer("patch_pressure.moments", 3 * size.pairs)?;
         let slopes = gpu.buffer_with("patch_pressure.slopes", &everywhere)?;
         let correction = RealBuffer::new(gpu, "patch_pressure.correction", 4 * n, variant.real)?;
@@ -86,13 +81,7 @@ impl PatchPressure {
                 ("open", faces.open.into()),
                 ("slopes", (&slopes).into()),
             ];
-            bind(
-                &at_clip,
-                &wgsl!("pressure_slopes"),
-                real,
-                own,
-                &[coupling, liquid],
-            )
+            bind(&at_clip, &wgsl!("pressure_slopes"), real, own, &[coupling, liquid])
         };
         let own = [
             ("moments", (&moments).into()),
@@ -102,13 +91,7 @@ impl PatchPressure {
         ];
         let at_right_hand_side = gpu.at(Stage::RightHandSide.name());
         let tables: [&dyn Arrays; 3] = [coupling, solids, liquid];
-        let apply = bind(
-            &at_right_hand_side,
-            &wgsl!("patch_pressure"),
-            real,
-            own,
-            &tables,
-        )?;
+        let apply = bind(&at_right_hand_side, &wgsl!("patch_pressure"), real, own, &tables)?;
         Ok(PatchPressure {
             n_nodes: n,
             n_quads: size.quads,
@@ -130,13 +113,7 @@ impl PatchPressure {
 
     /// Writes the integrals of n N_i (x - x_cell)^T over the patches of each pair, m^3, before all work submitted later. `pairs`: those of
     /// [`CouplingBuffers::write`], in its order. `at_rest`: as for [`PatchPressure::new`]; `scale`: rho / dt of the last sub-step, 0 before the first.
-    pub fn write(
-        &mut self,
-        gpu: &Gpu,
-        pairs: &[Pair],
-        moments: &[DMat3],
-        (at_rest, scale): (DVec3, f64),
-    ) {
+    pub fn write(&mut self, gpu: &Gpu, pairs: &[Pair], moments: &[DMat3], (at_rest, scale): (DVec3, f64)) {
         let mut wet = 0;
         let mut order: Vec<(usize, usize)> = Vec::with_capacity(pairs.len());
         for (at, pair) in pairs.iter().enumerate() {
@@ -157,10 +134,7 @@ impl PatchPressure {
             })
             .collect();
         gpu.upload(&self.moments, &rows);
-        let slope = PressureSlope {
-            at_rest: at_rest.as_vec3().to_array(),
-            scale: scale as f32,
-        };
+        let slope = PressureSlope { at_rest: at_rest.as_vec3().to_array(), scale: scale as f32 };
         gpu.upload(&self.slope, &[slope]);
         self.changes |= at_rest != self.at_rest;
         self.at_rest = at_rest;

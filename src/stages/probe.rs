@@ -98,10 +98,7 @@ impl Probe {
                     fronts |= 1u32 << word;
                     Some(match lower {
                         false => Columns::Words { first: word, n: 1 },
-                        true => Columns::LowerFront {
-                            word,
-                            size: size[axis],
-                        },
+                        true => Columns::LowerFront { word, size: size[axis] },
                     })
                 }
                 ProbeKind::Flux { axis, min, max } => {
@@ -121,13 +118,8 @@ impl Probe {
                 | ProbeKind::Reaction { .. } => None,
             })
             .collect();
-        let values = gpu.buffer(
-            "probe.values",
-            FRONT_WORDS + WORDS * (n_points + rectangles.len()),
-        )?;
-        let points = (n_points > 0)
-            .then(|| gpu.buffer_with("probe.points", &points))
-            .transpose()?;
+        let values = gpu.buffer("probe.values", FRONT_WORDS + WORDS * (n_points + rectangles.len()))?;
+        let points = (n_points > 0).then(|| gpu.buffer_with("probe.points", &points)).transpose()?;
         let mut list = Vec::new();
         if let Some(points) = &points {
             let own = [("points", points.into()), ("values", (&values).into())];
@@ -137,10 +129,7 @@ impl Probe {
         }
         if !rectangles.is_empty() {
             let rectangles = gpu.buffer_with("probe.rectangles", &rectangles)?;
-            let own = [
-                ("rectangles", (&rectangles).into()),
-                ("values", (&values).into()),
-            ];
+            let own = [("rectangles", (&rectangles).into()), ("values", (&values).into())];
             let kernel = Kernel::new(gpu, &wgsl!("probe_fluxes"), solver.variant.real)?;
             let bound = kernel.bind(gpu, &own, &[liquid])?;
             list.push(bound.threads(FOLD_SIZE * n_fluxes));
@@ -152,11 +141,7 @@ impl Probe {
             let bound = kernel.bind(gpu, &own, &[liquid, solver])?;
             list.push(bound.indirect(&solver.args, 0));
         }
-        Ok(Probe {
-            columns,
-            dispatches: Dispatches::new(Stage::Probe.name(), list).clearing(&values),
-            values,
-        })
+        Ok(Probe { columns, dispatches: Dispatches::new(Stage::Probe.name(), list).clearing(&values), values })
     }
 
     /// Records the stage, after a sub-step.

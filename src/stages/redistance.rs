@@ -12,11 +12,7 @@ use super::liquid_distance::extend_level;
 const PASSES: usize = 9;
 
 /// The stage: `new_level` in place, in bodies the extended level. Uses `next_level`, `eikonal_now` and `eikonal_next`.
-pub fn redistance(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn redistance(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Redistance.name());
     let over_band = |source: Source, own: &[(&str, Binding)]| {
         let bound = Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, level])?;
@@ -26,10 +22,7 @@ pub fn redistance(
     list.push(over_band(wgsl!("start_redistance"), &[])?);
     let distances = [&level.eikonal_now, &level.eikonal_next];
     for n in 0..PASSES {
-        let ends = [
-            ("distance_in", distances[n % 2].into()),
-            ("distance_out", distances[1 - n % 2].into()),
-        ];
+        let ends = [("distance_in", distances[n % 2].into()), ("distance_out", distances[1 - n % 2].into())];
         list.push(over_band(wgsl!("eikonal_pass"), &ends)?);
     }
     let mixed = ("mixed", distances[1 - PASSES % 2].into());

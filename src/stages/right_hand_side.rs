@@ -19,10 +19,7 @@ pub fn right_hand_side(
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::RightHandSide.name());
     // The flux of u* through the apertures of the solve.
-    let predicted = [
-        ("velocity", (&liquid.velocity_next).into()),
-        ("open", liquid.solve_open().into()),
-    ];
+    let predicted = [("velocity", (&liquid.velocity_next).into()), ("open", liquid.solve_open().into())];
     let over_active = |source, own: &[_]| {
         let kernel = Kernel::new(gpu, &source, solver.variant.real)?;
         let bound = kernel.bind(gpu, own, &[liquid, solver])?;

@@ -108,10 +108,7 @@ impl Separation {
             return Ok(None);
         };
         let gpu = &gpu.at(Stage::Solve.name());
-        let first = SeparationSettings {
-            from_air: u32::from(mode == Mode::FromAir),
-            ..bytemuck::Zeroable::zeroed()
-        };
+        let first = SeparationSettings { from_air: u32::from(mode == Mode::FromAir), ..bytemuck::Zeroable::zeroed() };
         let first = gpu.uniform("liquid.separation_settings", &first)?;
         let round: SeparationRound = bytemuck::Zeroable::zeroed();
         let round = gpu.uniform("liquid.separation_round", &round)?;
@@ -122,10 +119,7 @@ impl Separation {
         let real = solver.variant.real;
         let bound = |source, own: &[_]| Kernel::new(gpu, &source, real)?.bind(gpu, own, tables);
         Ok(Some(Separation {
-            start: bound(
-                wgsl!("separation_start"),
-                &[open, ("settings", (&first).into())],
-            )?,
+            start: bound(wgsl!("separation_start"), &[open, ("settings", (&first).into())])?,
             guess: Kernel::new(gpu, &wgsl!("separation_guess"), solver.variant)?.bind(
                 gpu,
                 &[("level", (&level).into())],
@@ -136,10 +130,7 @@ impl Separation {
                 bound(wgsl!("separation_scale"), &[])?,
                 bound(wgsl!("separation_openings"), &[open, partials])?,
                 bound(wgsl!("separation_report"), &[partials])?,
-                bound(
-                    wgsl!("separation_update"),
-                    &[open, ("separation_round", (&round).into())],
-                )?,
+                bound(wgsl!("separation_update"), &[open, ("separation_round", (&round).into())])?,
             ],
             settle: bound(wgsl!("separation_settle"), &[])?,
             masked: PressureSystem::new(
@@ -157,11 +148,7 @@ impl Separation {
 
     /// Records the first set: what separated in the last sub-step.
     pub fn record_start(&self, to: &mut Recorder, liquid: &LiquidBuffers, solver: &SolverBuffers) {
-        if let Some((now, before)) = liquid
-            .separated
-            .as_ref()
-            .zip(liquid.separated_before.as_ref())
-        {
+        if let Some((now, before)) = liquid.separated.as_ref().zip(liquid.separated_before.as_ref()) {
             to.copy(now, before);
             to.clear(now);
         }
@@ -203,12 +190,7 @@ impl Separation {
             true => ROUGH.max(full),
             false => full,
         };
-        let round = SeparationRound {
-            locks: u32::from(locks),
-            tolerance: full as f32,
-            pad_0: 0,
-            pad_1: 0,
-        };
+        let round = SeparationRound { locks: u32::from(locks), tolerance: full as f32, pad_0: 0, pad_1: 0 };
         gpu.upload(&self.round, &[round]);
         tolerance
     }

@@ -15,9 +15,6 @@ pub fn spray(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<
     let kernel = Kernel::new(gpu, &wgsl!("spray"), Real::F32)?;
     let labels = [("labels", (&level.component).into())];
     let spray = kernel.bind(gpu, &labels, &[liquid, level])?;
-    let list = [
-        spray.indirect(&level.marker_args, 0),
-        settle_flights(gpu, liquid, level)?,
-    ];
+    let list = [spray.indirect(&level.marker_args, 0), settle_flights(gpu, liquid, level)?];
     Ok(Dispatches::new(Stage::Spray.name(), list))
 }

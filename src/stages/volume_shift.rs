@@ -7,11 +7,7 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage, after `liquid_components`: writes `liquid_distance`. Empty without volume control.
-pub fn volume_shift(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> Result<Dispatches, Error> {
+pub fn volume_shift(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::VolumeShift.name());
     let mut list = Vec::new();
     if liquid.plan.effects.volume_shift {

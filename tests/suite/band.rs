@@ -10,15 +10,13 @@ use crate::liquid_case::{Case, cases};
 /// Whether a quad lies within reach of a tile that holds one of the cells, by the definition.
 fn near(case: &Case, tiles: &Tiles, cells: &[[usize; 3]], ijk: [usize; 3]) -> bool {
     cells.iter().any(|cell| {
-        (0..3).all(|a| (cell[a] / 8).abs_diff(ijk[a] / 8) <= tiles.reach as usize)
-            && ijk[1] <= case.grid.cells[1]
+        (0..3).all(|a| (cell[a] / 8).abs_diff(ijk[a] / 8) <= tiles.reach as usize) && ijk[1] <= case.grid.cells[1]
     })
 }
 
 fn marker_cells(case: &Case) -> Vec<[usize; 3]> {
     let n = case.grid.cells;
-    let cell =
-        |x: &[f64; 3]| std::array::from_fn(|a| ((x[a] / case.grid.dx) as usize).min(n[a] - 1));
+    let cell = |x: &[f64; 3]| std::array::from_fn(|a| ((x[a] / case.grid.dx) as usize).min(n[a] - 1));
     case.state.markers.iter().map(cell).collect()
 }
 
@@ -44,9 +42,7 @@ fn the_band_is_every_quad_within_reach_of_a_marker() {
         let n = gpu.download(&buffers.band_args).unwrap()[3] as usize;
         let list = gpu.download(&buffers.band_list).unwrap();
         assert_eq!(list[..n], expected, "{}: list", case.name);
-        let flagged: Vec<u32> = (0..flags.len() as u32)
-            .filter(|&quad| flags[quad as usize] != 0)
-            .collect();
+        let flagged: Vec<u32> = (0..flags.len() as u32).filter(|&quad| flags[quad as usize] != 0).collect();
         assert_eq!(flagged, expected, "{}: flags", case.name);
     }
 }
@@ -54,10 +50,7 @@ fn the_band_is_every_quad_within_reach_of_a_marker() {
 #[test]
 fn what_leaves_the_band_is_put_back_to_air() {
     let Some(gpu) = gpu() else { return };
-    let mut case = cases()
-        .into_iter()
-        .find(|case| case.name == "far corner")
-        .unwrap();
+    let mut case = cases().into_iter().find(|case| case.name == "far corner").unwrap();
     let buffers = case.upload(gpu);
     let band = band(gpu, &buffers, None).unwrap();
     let record = || {
@@ -91,19 +84,11 @@ fn what_leaves_the_band_is_put_back_to_air() {
     for quad in 0..buffers.padded.quads {
         let left = before[quad] != 0 && after[quad] == 0;
         n_left += usize::from(left);
-        let (distance, low) = if left {
-            (case.grid.dx as f32, valid[quad] & 0xfff)
-        } else {
-            (-1.0, 0xfff)
-        };
+        let (distance, low) = if left { (case.grid.dx as f32, valid[quad] & 0xfff) } else { (-1.0, 0xfff) };
         assert_eq!(phi[4 * quad..4 * quad + 4], [distance; 4], "quad {quad}");
         for words in &words {
             assert_eq!(words[quad] & 0xfff, low, "valid faces of quad {quad}");
-            assert_eq!(
-                words[quad] >> 16,
-                valid[quad] >> 16,
-                "open faces of quad {quad}"
-            );
+            assert_eq!(words[quad] >> 16, valid[quad] >> 16, "open faces of quad {quad}");
         }
     }
     assert!(n_left > 0, "nothing left the band");

@@ -21,12 +21,7 @@ use tempfile::TempDir;
 
 /// Settings of a bench in a test.
 pub(crate) fn settings(out: &Path, repeats: usize) -> Settings {
-    Settings {
-        out: out.to_owned(),
-        repeats,
-        seconds: f64::INFINITY,
-        resume: false,
-    }
+    Settings { out: out.to_owned(), repeats, seconds: f64::INFINITY, resume: false }
 }
 
 /// Counts the rows that a bench tells.
@@ -43,18 +38,11 @@ pub(crate) struct Measured {
 }
 
 /// Runs a bench.
-pub(crate) fn measured(
-    repeats: usize,
-    bench: impl FnOnce(&Settings, Listener) -> Result<Results, Error>,
-) -> Measured {
+pub(crate) fn measured(repeats: usize, bench: impl FnOnce(&Settings, Listener) -> Result<Results, Error>) -> Measured {
     let (folder, mut told) = (tempfile::tempdir().unwrap(), 0);
     let settings = settings(folder.path(), repeats);
     let results = bench(&settings, &mut counted(&mut told)).unwrap();
-    Measured {
-        folder,
-        results,
-        told,
-    }
+    Measured { folder, results, told }
 }
 
 impl Measured {
@@ -103,8 +91,7 @@ pub(crate) use row;
 #[test]
 fn values_are_found_by_column() {
     let spread = Spread::of(vec![3.0, 1.0, 2.0]);
-    let row =
-        row! { grid: 20_usize, seconds: spread, name: "a", passed: true, nothing: None::<f64> };
+    let row = row! { grid: 20_usize, seconds: spread, name: "a", passed: true, nothing: None::<f64> };
     assert_eq!([row.count("grid"), row.count("other")], [20, 0]);
     let ends = ["seconds_median", "seconds_min", "seconds_max"].map(|name| row.number(name));
     assert_eq!(ends, [2.0, 1.0, 3.0]);
@@ -115,22 +102,12 @@ fn values_are_found_by_column() {
 #[test]
 fn median_quartiles_and_exponents() {
     assert_eq!(Spread::of(vec![4.0, 1.0, 2.0, 3.0]).median, 2.5);
-    assert_eq!(
-        Spread::quartiles(vec![4.0, 1.0, 2.0, 3.0]),
-        [1.75, 2.5, 3.25]
-    );
+    assert_eq!(Spread::quartiles(vec![4.0, 1.0, 2.0, 3.0]), [1.75, 2.5, 3.25]);
     assert_eq!(Spread::quartiles(vec![2.0]), [2.0; 3]);
     // A launch of 1 s beside a second per unit.
     let point = |x: f64| {
         let y = 1.0 + x;
-        (
-            x,
-            Spread {
-                median: y,
-                min: 0.9 * y,
-                max: 1.2 * y,
-            },
-        )
+        (x, Spread { median: y, min: 0.9 * y, max: 1.2 * y })
     };
     let found = Exponents::of(&[10.0, 1.0, 100.0].map(point)).unwrap();
     assert!((found.last - (101.0_f64 / 11.0).log10()).abs() < 1e-12);
@@ -155,41 +132,21 @@ fn median_quartiles_and_exponents() {
     }
 }
 
-const CONVERGED: Ended = Ended {
-    status: SolveStatus::Converged,
-    iterations: 12,
-    residuals: [1e-9, 2e-9],
-};
+const CONVERGED: Ended = Ended { status: SolveStatus::Converged, iterations: 12, residuals: [1e-9, 2e-9] };
 
 #[test]
 fn repeats_that_end_otherwise_are_refused() {
-    let broken = Ended {
-        status: SolveStatus::NonFinite,
-        residuals: [f64::NAN; 2],
-        ..CONVERGED
-    };
+    let broken = Ended { status: SolveStatus::NonFinite, residuals: [f64::NAN; 2], ..CONVERGED };
     for ended in [CONVERGED, broken] {
         ended.ensure_repeated(ended, "a solve").unwrap();
     }
-    let stagnated = Ended {
-        status: SolveStatus::Stagnated,
-        ..CONVERGED
-    };
-    let longer = Ended {
-        iterations: 13,
-        ..CONVERGED
-    };
-    let off = Ended {
-        residuals: [1e-9, 2e-9_f64.next_up()],
-        ..CONVERGED
-    };
+    let stagnated = Ended { status: SolveStatus::Stagnated, ..CONVERGED };
+    let longer = Ended { iterations: 13, ..CONVERGED };
+    let off = Ended { residuals: [1e-9, 2e-9_f64.next_up()], ..CONVERGED };
     for other in [broken, stagnated, longer, off] {
         let refused = CONVERGED.ensure_repeated(other, "a solve").unwrap_err();
         let told = refused.to_string();
-        assert!(
-            refused.exit_code() == 1 && told.contains("a solve: "),
-            "{told}"
-        );
+        assert!(refused.exit_code() == 1 && told.contains("a solve: "), "{told}");
         assert!(told.contains(&other.to_string()), "{told}");
     }
     assert_eq!(CONVERGED.name(2e-9), "converged");
@@ -198,12 +155,7 @@ fn repeats_that_end_otherwise_are_refused() {
 }
 
 fn solve(residual: f64, status: SolveStatus) -> SolveReport {
-    SolveReport {
-        unknowns: 10,
-        iterations: 7,
-        residual,
-        status,
-    }
+    SolveReport { unknowns: 10, iterations: 7, residual, status }
 }
 
 #[test]
@@ -212,10 +164,7 @@ fn reports_of_both_parts_are_one_end() {
     let both = Ended::new(&[passed(1e-9), passed(3e-8)]);
     assert_eq!((both.iterations, both.residuals), (7, [1e-9, 3e-8]));
     // Whichever part is above the tolerance.
-    assert_eq!(
-        [1e-7, 1e-8].map(|t| both.name(t)),
-        ["converged", "converged_to_rounding"]
-    );
+    assert_eq!([1e-7, 1e-8].map(|t| both.name(t)), ["converged", "converged_to_rounding"]);
     let other = Ended::new(&[passed(3e-8), passed(1e-9)]);
     assert_eq!(other.name(1e-8), "converged_to_rounding");
     let alone = Ended::new(&[passed(1e-9)]);
@@ -246,15 +195,9 @@ fn adapter(kind: &'static str, storage_binding: u64) -> AdapterReport {
 /// 20 cells.
 #[test]
 fn the_largest_binding_or_free_memory_decides() {
-    let solver = |precision| Solver {
-        precision,
-        ..Solver::default()
-    };
+    let solver = |precision| Solver { precision, ..Solver::default() };
     let (small, memory) = (adapter("discrete", 1 << 20), 1 << 40);
-    let capacity = Capacity {
-        adapter: &small,
-        memory,
-    };
+    let capacity = Capacity { adapter: &small, memory };
     let [mixed, f64] = [Precision::Mixed, Precision::F64].map(solver);
     for (solvers, largest) in [(vec![mixed], 30), (vec![f64], 20), (vec![mixed, f64], 20)] {
         assert_eq!(capacity.largest(&solvers), Some(largest));
@@ -271,14 +214,9 @@ fn the_largest_binding_or_free_memory_decides() {
     };
     assert_eq!(largest("discrete", memory), Some(50));
     assert_eq!(largest("discrete", memory - 1), Some(40));
-    assert!(
-        largest("software", memory) < Some(50),
-        "it shares the memory"
-    );
+    assert!(largest("software", memory) < Some(50), "it shares the memory");
     let adapter = &adapter("discrete", 1 << 32);
-    let error = Capacity { adapter, memory: 0 }
-        .check(8, &[mixed])
-        .unwrap_err();
+    let error = Capacity { adapter, memory: 0 }.check(8, &[mixed]).unwrap_err();
     assert!(matches!(error, Error::Memory { .. }), "{error}");
 }
 
@@ -288,11 +226,7 @@ fn the_largest_scale_is_found_in_steps_that_keep_cells_cubic() {
         assert_eq!(largest(&|n| n <= most), most);
     }
     // A cube in tens; twice as long as high: 5 units are 10 cells; long sides by units.
-    for (cells, expected) in [
-        ([100, 100, 100], (100, 10)),
-        ([64, 32, 32], (32, 5)),
-        ([48, 3, 3], (3, 1)),
-    ] {
+    for (cells, expected) in [([100, 100, 100], (100, 10)), ([64, 32, 32], (32, 5)), ([48, 3, 3], (3, 1))] {
         assert_eq!(units(cells), expected, "{cells:?}");
     }
 }
@@ -342,10 +276,7 @@ fn rows_of_equal_time_are_chosen_by_their_needs() {
     let (mixed, double) = (way(20, "mixed", 1e-6, 9), way(20, "f64", 1e-4, 7));
     for [a, b] in [[0, 1], [1, 0]] {
         let seconds = [[9.0, 10.0, 12.0], [9.5, 11.0, 13.0]];
-        let rows = [
-            taking(seconds[a], mixed.clone()),
-            taking(seconds[b], double.clone()),
-        ];
+        let rows = [taking(seconds[a], mixed.clone()), taking(seconds[b], double.clone())];
         assert_eq!(chosen(&rows).text("precision"), "mixed");
     }
 }
@@ -360,10 +291,7 @@ fn less_accuracy_takes_no_longer() {
     let of = |rows: &[&Row]| -> Vec<(f64, f64)> {
         let targets = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
         let found = recommended(rows, &targets, |row| row.number("tolerance"));
-        found
-            .iter()
-            .map(|(target, row)| (*target, row.number("tolerance")))
-            .collect()
+        found.iter().map(|(target, row)| (*target, row.number("tolerance"))).collect()
     };
     assert_eq!(
         of(&[&loose, &tight, &wide, &slow]),
@@ -407,12 +335,7 @@ fn a_solve_that_did_not_converge_is_no_truth() {
 
 #[test]
 fn tosses_of_a_coin() {
-    for (k, n, ways) in [
-        (0, 12, 1.0),
-        (2, 12, 79.0),
-        (3, 12, 299.0),
-        (12, 12, 4096.0),
-    ] {
+    for (k, n, ways) in [(0, 12, 1.0), (2, 12, 79.0), (3, 12, 299.0), (12, 12, 4096.0)] {
         let chance = ways / 4096.0;
         assert!((pairs::at_most(k, n) - chance).abs() <= 1e-14, "{k} of {n}");
     }
@@ -421,14 +344,7 @@ fn tosses_of_a_coin() {
     assert!((half - 0.506_307).abs() < 1e-5, "{half}");
     let of = |n: usize| pairs::interval((1..=n).rev().map(|x| x as f64).collect());
     // Ranks at 95 % from tables of the sign test.
-    for (n, low) in [
-        (6, 1.0),
-        (8, 1.0),
-        (9, 2.0),
-        (12, 3.0),
-        (20, 6.0),
-        (25, 8.0),
-    ] {
+    for (n, low) in [(6, 1.0), (8, 1.0), (9, 2.0), (12, 3.0), (20, 6.0), (25, 8.0)] {
         assert_eq!(of(n), Some([low, (n + 1) as f64 - low]), "{n} values");
     }
     assert_eq!((of(5), of(0)), (None, None));
@@ -438,21 +354,12 @@ fn tosses_of_a_coin() {
 fn differences_within_the_noise_are_nothing() {
     let around = |low, high| pairs::verdict(Some([low, high]), 0.5 * (low + high), Some(1.0));
     assert_eq!(around(-0.1, 9.0), pairs::NOTHING);
-    assert_eq!(
-        around(0.2, 1.4),
-        pairs::NOTHING,
-        "its median is within the noise"
-    );
+    assert_eq!(around(0.2, 1.4), pairs::NOTHING, "its median is within the noise");
     assert_eq!(around(0.9, 1.5), pairs::ADDS);
     assert_eq!(around(-1.5, -0.9), "saves");
     assert_eq!(pairs::verdict(None, 5.0, None), "too few pairs");
-    let taken = |dispatches, solve_dispatches| Cost {
-        seconds: 1.0,
-        dispatches,
-        solve_dispatches,
-    };
-    let pairs =
-        [(5, 90), (4, 7), (3, 11), (9, 10)].map(|(n, solve)| [taken(n, solve), taken(3, 10)]);
+    let taken = |dispatches, solve_dispatches| Cost { seconds: 1.0, dispatches, solve_dispatches };
+    let pairs = [(5, 90), (4, 7), (3, 11), (9, 10)].map(|(n, solve)| [taken(n, solve), taken(3, 10)]);
     assert_eq!(pairs::middle(&pairs, |taken| taken.dispatches), 1);
     assert_eq!(pairs::middle(&pairs, |taken| taken.solve_dispatches), 0);
     assert_eq!(pairs::differing(&pairs), 3);
@@ -470,21 +377,10 @@ fn absent_effects_cost_what_chance_does_not() {
         }
     };
     // Chances of 1 to 4096, 13 to 4096, 1 to 1024 and 1 to 512.
-    for (pairs, slower, expected) in [
-        (12, 12, true),
-        (12, 11, false),
-        (10, 10, true),
-        (9, 9, false),
-    ] {
-        assert_eq!(
-            costs(&control(pairs, slower)),
-            expected,
-            "{slower} of {pairs}"
-        );
+    for (pairs, slower, expected) in [(12, 12, true), (12, 11, false), (10, 10, true), (9, 9, false)] {
+        assert_eq!(costs(&control(pairs, slower)), expected, "{slower} of {pairs}");
     }
-    assert!(!costs(
-        &control(12, 12).with(row! { seconds_told: pairs::NOTHING })
-    ));
+    assert!(!costs(&control(12, 12).with(row! { seconds_told: pairs::NOTHING })));
     for other in [
         row! { bytes_added: -4_i64 },
         row! { dispatches_differ: 1_usize },
@@ -498,9 +394,7 @@ fn absent_effects_cost_what_chance_does_not() {
 #[test]
 fn a_buffer_that_grew_counts_once() {
     let made = |list: &[(&str, u64)]| -> Vec<(String, u64)> {
-        list.iter()
-            .map(|(label, bytes)| ((*label).to_owned(), *bytes))
-            .collect()
+        list.iter().map(|(label, bytes)| ((*label).to_owned(), *bytes)).collect()
     };
     let start = [("a", 1), ("b", 10), ("b", 20), ("c (read-back)", 100)];
     assert_eq!(bytes_in_use(&made(&start), 4), 131);

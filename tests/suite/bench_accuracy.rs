@@ -38,9 +38,7 @@ fn errors_follow_the_tolerance() {
         ("hanging_beam", 1.0, &["apart"]),
     ] {
         let options = options(name, scale, &[]);
-        let table = measured(1, |settings, listener| {
-            measure(&options, settings, listener)
-        });
+        let table = measured(1, |settings, listener| measure(&options, settings, listener));
         // In f32 there is no condensed form.
         let rows = 3 * (1 + forms.len());
         let told = [table.told, table.rows("accuracy").len()];
@@ -83,27 +81,18 @@ fn errors_follow_the_tolerance() {
         }
         assert!(!table.rows("accuracy_best").is_empty(), "{name}");
         for best in table.rows("accuracy_best") {
-            let meets = |row: &&Row| {
-                larger(row.number("error_p"), row.number("error_v")) <= best.number("target")
-            };
+            let meets = |row: &&Row| larger(row.number("error_p"), row.number("error_v")) <= best.number("target");
             let meeting: Vec<&Row> = table.rows("accuracy").iter().filter(meets).collect();
-            let ends = meeting
-                .iter()
-                .map(|row| numbers(row, ["seconds_median", "seconds_max"]));
+            let ends = meeting.iter().map(|row| numbers(row, ["seconds_median", "seconds_max"]));
             let fastest = ends.min_by(|a, b| a[0].total_cmp(&b[0])).unwrap();
             let most = fastest[1].min(1.25 * fastest[0]);
             // f32 before mixed and loose before tight, where the spread of the fastest does not tell them apart; but a row for a lower error that
             // takes no longer stands for this one, too.
             let way = |best: &Row| best.only(&["precision", "formulation", "tolerance"]);
-            let mut lower = table
-                .rows("accuracy_best")
-                .iter()
-                .filter(|other| other.number("target") < best.number("target"));
+            let mut lower =
+                table.rows("accuracy_best").iter().filter(|other| other.number("target") < best.number("target"));
             let stands_for_more = lower.any(|other| way(other) == way(best));
-            assert!(
-                best.number("seconds_min") <= most || stands_for_more,
-                "{best:?}"
-            );
+            assert!(best.number("seconds_min") <= most || stands_for_more, "{best:?}");
             let equal = |row: &&&Row| row.number("seconds_min") <= most;
             for row in meeting.iter().filter(equal) {
                 let simpler = row.text("precision") == "f32" && best.text("precision") == "mixed";
@@ -115,12 +104,7 @@ fn errors_follow_the_tolerance() {
             let error = larger(best.number("error_p"), best.number("error_v"));
             assert!(error <= best.number("target"), "{best:?}");
         }
-        table.assert_written(&[
-            "accuracy.csv",
-            "accuracy_best.csv",
-            "accuracy.json",
-            "accuracy.svg",
-        ]);
+        table.assert_written(&["accuracy.csv", "accuracy_best.csv", "accuracy.json", "accuracy.svg"]);
     }
 }
 
@@ -140,9 +124,7 @@ fn divergence_and_balance_follow_the_tolerance() {
     let per_second = fall / scene.grid().dx;
     // What f32 velocities of g dt leave, as in the tests of water at rest; the divergence is of six of them.
     let rounding = 2e-6;
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     let rows = table.rows("accuracy");
     assert_eq!(rows.len(), 6);
     for rows in rows.chunk_by(|a, b| a.text("preconditioner") == b.text("preconditioner")) {
@@ -224,15 +206,11 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
         tolerances: vec![1e-1, 1e-8],
         ..options("dam_break", 0.12, &[])
     };
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     assert_eq!([table.told, table.rows("accuracy_grids").len()], [12; 2]);
     let row = |problem: &str, grid: usize, tolerance: f64| {
         let found = |row: &&Row| {
-            row.text("problem") == problem
-                && row.count("grid") == grid
-                && row.number("tolerance") == tolerance
+            row.text("problem") == problem && row.count("grid") == grid && row.number("tolerance") == tolerance
         };
         table.rows("accuracy_grids").iter().find(found).unwrap()
     };
@@ -243,10 +221,7 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
         assert!((2.5..8.0).contains(&ratio), "{coarse:?} {fine:?}");
         for row in [coarse, fine] {
             let [all, grid] = numbers(row, ["error_p", "grid_error_p"]);
-            assert!(
-                (all / grid - 1.0).abs() < 0.02,
-                "the solve adds to the error of the grid: {row:?}"
-            );
+            assert!((all / grid - 1.0).abs() < 0.02, "the solve adds to the error of the grid: {row:?}");
         }
     }
     for grid in [10, 20] {
@@ -271,18 +246,11 @@ fn errors_are_those_of_the_grid_or_of_the_tolerance() {
     };
     // Of ten targets those down to 1e-6 at least, and those that the grid's error allows.
     assert!(best("pool_at_rest") >= 9 && best("dam_release") < 8);
-    for file in [
-        "accuracy_grids.csv",
-        "accuracy_grids_best.csv",
-        "accuracy_grids_enough.csv",
-    ] {
+    for file in ["accuracy_grids.csv", "accuracy_grids_best.csv", "accuracy_grids_enough.csv"] {
         assert!(table.text(file).lines().count() > 2, "{file}");
         table.assert_written(&[file]);
     }
-    let refused = Options {
-        grids: vec![10, 15],
-        ..options.clone()
-    };
+    let refused = Options { grids: vec![10, 15], ..options.clone() };
     let error = measure(&refused, &settings(&table.file(""), 1), &mut |_| ()).unwrap_err();
     assert!(error.to_string().contains("multiples of 10"), "{error}");
 }

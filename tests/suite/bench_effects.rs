@@ -7,9 +7,7 @@ use std::fs;
 use cutwater::effects::Effects;
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench::Event;
-use cutwater::measure::bench::effects::{
-    ABSENT, COUPLING, EFFECTS, ITSELF, Options, PROBES, costs, measure,
-};
+use cutwater::measure::bench::effects::{ABSENT, COUPLING, EFFECTS, ITSELF, Options, PROBES, costs, measure};
 use cutwater::measure::bench::table::Row;
 use cutwater::scene::Scene;
 
@@ -22,13 +20,9 @@ fn effects_add_what_is_theirs() {
     let folder = tempfile::tempdir().unwrap();
     let load = |name: &str, scale| project_scene(name, scale, &["camera.size=[160, 90]"]);
     let options = Options {
-        scenes: [
-            ("dam_break", 0.12),
-            ("hydrostatic_block", 0.3),
-            ("gate", 0.5),
-        ]
-        .map(|(name, scale)| load(name, scale))
-        .to_vec(),
+        scenes: [("dam_break", 0.12), ("hydrostatic_block", 0.3), ("gate", 0.5)]
+            .map(|(name, scale)| load(name, scale))
+            .to_vec(),
         frames: 2,
         adapter: AdapterChoice::Best,
     };
@@ -52,8 +46,7 @@ fn effects_add_what_is_theirs() {
     assert_eq!(told, table.len() + outputs.len());
     let row = |scene: &str, effect: &str| -> &Row {
         let mut rows = table.iter();
-        rows.find(|row| row.text("scene") == scene && row.text("effect") == effect)
-            .unwrap()
+        rows.find(|row| row.text("scene") == scene && row.text("effect") == effect).unwrap()
     };
     for (scene, effect, kernels, bytes) in [
         ("dam_break", "markers", &["advect_markers"][..], true),
@@ -64,12 +57,7 @@ fn effects_add_what_is_theirs() {
         ("hydrostatic_block", "probes", &["probe_points"], true),
         ("dam_break", "probe_node", &[], true),
         ("gate", "probe_height", &[], true),
-        (
-            "gate",
-            "moving_obstacles",
-            &["cut_quads", "obstacle_flux"],
-            true,
-        ),
+        ("gate", "moving_obstacles", &["cut_quads", "obstacle_flux"], true),
     ] {
         let row = row(scene, effect);
         assert!(row.flag("present") && row.count("pairs") == 2, "{row:?}");
@@ -94,8 +82,7 @@ fn effects_add_what_is_theirs() {
         assert_eq!(added, [0.0; 2], "{row:?}");
     }
     // Stages that neither part has, and what both have counted twice.
-    let [both, no_liquid, no_solids] =
-        [COUPLING, "liquid", "solids"].map(|effect| row("dam_break", effect));
+    let [both, no_liquid, no_solids] = [COUPLING, "liquid", "solids"].map(|effect| row("dam_break", effect));
     assert!(both.flag("present") && both.count("pairs") == 2, "{both:?}");
     let mut kernels = both.text("kernels").split(' ');
     assert!(kernels.any(|kernel| kernel == "cut_quads"), "{both:?}");
@@ -119,12 +106,7 @@ fn effects_add_what_is_theirs() {
     for scene in ["dam_break", "hydrostatic_block", "gate"] {
         for effect in [ABSENT, ITSELF] {
             let row = row(scene, effect);
-            let counts = [
-                "bytes_added",
-                "dispatches_added",
-                "solve_dispatches_added",
-                "dispatches_differ",
-            ];
+            let counts = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
             assert_eq!(numbers(row, counts), [0.0; 4], "{row:?}");
             assert_eq!(row.text("seconds_told"), "too few pairs", "{row:?}");
             assert!(!row.has("seconds_told_low"), "{row:?}");
@@ -142,20 +124,10 @@ fn effects_add_what_is_theirs() {
     assert!(line.ends_with(",,,,,,,,,,,,,0,"), "{line}");
     let of_scene = |scene: &str| -> Vec<(&str, bool)> {
         let rows = outputs.iter().filter(|row| row.text("scene") == scene);
-        rows.map(|row| (row.text("output"), row.flag("present")))
-            .collect()
+        rows.map(|row| (row.text("output"), row.flag("present"))).collect()
     };
-    let all = [
-        "read_back",
-        "particles",
-        "fields",
-        "surface",
-        "solids",
-        "checkpoint",
-        "preview",
-    ];
-    let solid_and_liquid =
-        all.map(|name| (name, !["fields", "surface", "preview"].contains(&name)));
+    let all = ["read_back", "particles", "fields", "surface", "solids", "checkpoint", "preview"];
+    let solid_and_liquid = all.map(|name| (name, !["fields", "surface", "preview"].contains(&name)));
     assert_eq!(of_scene("dam_break"), solid_and_liquid);
     let still = of_scene("hydrostatic_block");
     assert!(still.iter().all(|(name, _)| *name != "solids"));
@@ -177,12 +149,7 @@ fn effects_add_what_is_theirs() {
     assert!(of_run.is_file(), "a frame of the run is gone");
     let left = folder.path().join(".bench_effects");
     assert!(!left.exists(), "frames were left");
-    for file in [
-        "effects.csv",
-        "effects.json",
-        "effects.svg",
-        "effects_outputs.csv",
-    ] {
+    for file in ["effects.csv", "effects.json", "effects.svg", "effects_outputs.csv"] {
         let text = fs::read_to_string(folder.path().join(file)).unwrap();
         assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
         if file.ends_with(".json") {
@@ -210,8 +177,7 @@ const SINK: &str = "sink=[{ box = { min = [0.875, 0, 0], max = [1, 0.125, 1] } }
 const OPEN: &str = "domain.open=[\"+x\"]";
 const BALL: &str = "obstacle=[{ sphere = { centre = [0.3, 0.3, 0.5], radius = 0.2 } }]";
 const HEIGHT: &str = r#"probe=[{ name = "level", height = { x = 0.7, z = 0.2 } }]"#;
-const NODE: &str =
-    r#"probe=[{ name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }]"#;
+const NODE: &str = r#"probe=[{ name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }]"#;
 const THREE_PROBES: &str = r#"probe=[{ name = "force", force = { solid = "raft" } }, { name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }, { name = "level", height = { x = 0.7, z = 0.2 } }]"#;
 
 /// A box of 8^3 cells with what is set.
@@ -238,11 +204,7 @@ impl Taken {
         simulation.step().unwrap();
         simulation.probes().unwrap();
         let gpu = simulation.gpu().unwrap();
-        Taken {
-            bytes,
-            kernels: gpu.compiled(),
-            dispatches: gpu.take_trace().dispatches,
-        }
+        Taken { bytes, kernels: gpu.compiled(), dispatches: gpu.take_trace().dispatches }
     }
 }
 
@@ -253,22 +215,8 @@ fn effects_that_are_taken_away_leave_nothing() {
     let cases: [(&[&str], &[&str], &[&str]); 10] = [
         (
             &[POOL, "liquid.volume_control=false"],
-            &[
-                "liquid.volume_control=true",
-                OPEN,
-                SOURCE,
-                SINK,
-                BALL,
-                HEIGHT,
-            ],
-            &[
-                "volume_control",
-                "open_sides",
-                "sources",
-                "sinks",
-                "obstacles",
-                "probes",
-            ],
+            &["liquid.volume_control=true", OPEN, SOURCE, SINK, BALL, HEIGHT],
+            &["volume_control", "open_sides", "sources", "sinks", "obstacles", "probes"],
         ),
         // The floor of theta has other defaults with markers and without.
         (
@@ -276,25 +224,13 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["liquid.surface=markers", OPEN, SOURCE, SINK],
             &["markers"],
         ),
-        (
-            &[
-                POOL,
-                "liquid.volume_control=false",
-                "solver.theta_floor=0.1",
-            ],
-            &["liquid.surface=level"],
-            &["level"],
-        ),
+        (&[POOL, "liquid.volume_control=false", "solver.theta_floor=0.1"], &["liquid.surface=level"], &["level"]),
         (
             &[POOL, "liquid.surface=level", "liquid.volume_control=false"],
             &["liquid.volume_control=true"],
             &["volume_shift"],
         ),
-        (
-            &[POOL, "liquid.volume_control=false"],
-            &["liquid.separation=walls"],
-            &["separation"],
-        ),
+        (&[POOL, "liquid.volume_control=false"], &["liquid.separation=walls"], &["separation"]),
         (
             &[RAFT, NODE],
             &[
@@ -310,23 +246,11 @@ fn effects_that_are_taken_away_leave_nothing() {
                 "solid[0].script=[{ region = { box = { min = [0, 0, 0], max = [1, 0.4, 1] } }, keyframes = [{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }] }]",
                 "solid[0].load=[{ region = { box = { min = [0, 0.4, 0], max = [1, 0.6, 1] } }, force = [0, 1, 0] }]",
             ],
-            &[
-                "liquid",
-                "corotation",
-                "damping",
-                "pins",
-                "scripts",
-                "loads",
-                "obstacles",
-            ],
+            &["liquid", "corotation", "damping", "pins", "scripts", "loads", "obstacles"],
         ),
         (
             &[POOL, BALL, HEIGHT],
-            &[
-                RAFT,
-                THREE_PROBES,
-                "obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]",
-            ],
+            &[RAFT, THREE_PROBES, "obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]"],
             &["solids", "moving_obstacles"],
         ),
         (
@@ -334,11 +258,7 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]"],
             &["pushing_obstacles"],
         ),
-        (
-            &[RAFT, NODE],
-            &["solver.solid_contact=true"],
-            &["solid_contact"],
-        ),
+        (&[RAFT, NODE], &["solver.solid_contact=true"], &["solid_contact"]),
         (
             &[POOL, RAFT, "solver.pressure_on_patches=cell"],
             &["solver.pressure_on_patches=hydrostatic"],

@@ -31,16 +31,8 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let options = Options {
-        against: vec![
-            ReferenceSolver::IncompleteCholesky,
-            ReferenceSolver::Cholesky,
-            ReferenceSolver::Multigrid,
-        ],
-        ..options(vec![
-            Formulation::Pressure,
-            Formulation::TwoField,
-            Formulation::Condensed,
-        ])
+        against: vec![ReferenceSolver::IncompleteCholesky, ReferenceSolver::Cholesky, ReferenceSolver::Multigrid],
+        ..options(vec![Formulation::Pressure, Formulation::TwoField, Formulation::Condensed])
     };
     let mut told = 0;
     let settings = settings(folder.path(), 3);
@@ -48,10 +40,7 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
     let [pressure, both, condensed] = table.rows("solve") else {
         panic!("{:?}", table.rows("solve"));
     };
-    assert_eq!(
-        [pressure, both, condensed].map(|row| row.text("formulation")),
-        ["pressure", "two-field", "condensed"]
-    );
+    assert_eq!([pressure, both, condensed].map(|row| row.text("formulation")), ["pressure", "two-field", "condensed"]);
     let nodes = [pressure, both].map(|row| row.count("solid_nodes"));
     assert_eq!(nodes, [0, 135]);
     for row in table.rows("solve") {
@@ -72,8 +61,7 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
         assert_eq!(rival.text("status"), "converged", "{rival:?}");
         assert!(residuals.iter().all(|&r| r <= 1e-8), "{rival:?}");
         assert_eq!([residuals[0] > 0.0, residuals[1] > 0.0], [true, coupled]);
-        let [exact, multigrid] =
-            ["cholesky", "multigrid_cg"].map(|name| rival.text("rival") == name);
+        let [exact, multigrid] = ["cholesky", "multigrid_cg"].map(|name| rival.text("rival") == name);
         assert_eq!(rival.has("iterations"), !exact, "{rival:?}");
         assert_eq!(rival.has("factor_bytes"), !multigrid, "{rival:?}");
         assert!(rival.count("threads") >= 1);
@@ -106,22 +94,13 @@ fn a_diagonal_moves_less_than_a_cycle_and_rounding_is_told() {
     for file in &optional {
         fs::write(file, "of another run").unwrap();
     }
-    let multigrid = Solver {
-        max_iterations: 5000,
-        ..Solver::default()
-    };
+    let multigrid = Solver { max_iterations: 5000, ..Solver::default() };
     let options = Options {
         grids: vec![8],
         solvers: vec![
             multigrid,
-            Solver {
-                preconditioner: Preconditioner::Jacobi,
-                ..multigrid
-            },
-            Solver {
-                precision: Precision::F32,
-                ..multigrid
-            },
+            Solver { preconditioner: Preconditioner::Jacobi, ..multigrid },
+            Solver { precision: Precision::F32, ..multigrid },
         ],
         ..options(vec![Formulation::Pressure])
     };
@@ -134,8 +113,7 @@ fn a_diagonal_moves_less_than_a_cycle_and_rounding_is_told() {
     }
     // The most on any grid: `solver::iterations_hardly_grow_with_the_grid`.
     assert!(multigrid.count("iterations") <= 20, "{multigrid:?}");
-    let [cycle, diagonal] =
-        [multigrid, jacobi].map(|row| row.number("bytes") / row.number("iterations"));
+    let [cycle, diagonal] = [multigrid, jacobi].map(|row| row.number("bytes") / row.number("iterations"));
     assert!(diagonal < 0.6 * cycle, "{diagonal}, {cycle}");
     // f32 may not hold what a residual of 1e-8 asks for. Whether it does is told as it is.
     let holds = single.number("residual_p") <= single.number("tolerance");
@@ -159,9 +137,8 @@ fn growth_is_along_what_grows() {
     let table = measure(gpu, &options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     assert_eq!(table.rows("solve").len(), 2 + 4);
     let against = table.rows("solve_against");
-    let left_out = |row: &Row| {
-        !row.has("seconds_median") && row.count("turns") == 0 && row.number("factor_bytes") > 1.0
-    };
+    let left_out =
+        |row: &Row| !row.has("seconds_median") && row.count("turns") == 0 && row.number("factor_bytes") > 1.0;
     assert!(against.iter().all(left_out), "{against:?}");
     let written = fs::read_to_string(folder.path().join("solve_against.csv")).unwrap();
     assert_eq!(written.matches("GiB left out").count(), 6, "{written}");
@@ -180,29 +157,15 @@ fn growth_is_along_what_grows() {
     }
     for growth in fits {
         let fit = growth.number("exponent");
-        assert!(
-            fit.is_finite() && growth.count("from") < growth.count("to"),
-            "{growth:?}"
-        );
-        assert!(
-            !growth.has("exponent_low"),
-            "rows of one run have no spread"
-        );
+        assert!(fit.is_finite() && growth.count("from") < growth.count("to"), "{growth:?}");
+        assert!(!growth.has("exponent_low"), "rows of one run have no spread");
         // Of two sizes the last pair is all there is; least squares round.
-        assert!(
-            (growth.number("exponent_last") - fit).abs() < 1e-9,
-            "{growth:?}"
-        );
+        assert!((growth.number("exponent_last") - fit).abs() < 1e-9, "{growth:?}");
     }
 }
 
 fn of_growth(row: &Row) -> (&str, &str, usize, usize) {
-    (
-        row.text("formulation"),
-        row.text("along"),
-        row.count("fixed"),
-        row.count("rows"),
-    )
+    (row.text("formulation"), row.text("along"), row.count("fixed"), row.count("rows"))
 }
 
 /// A row of a grid of which all cells are active, that takes a nanosecond a cell.
@@ -216,8 +179,7 @@ fn a_row(grid: usize, nodes: usize, status: &str, runs: usize) -> Row {
 }
 
 fn growth_of(rows: Vec<Row>) -> Vec<Row> {
-    let mut tables =
-        ["solve", "solve_against", "solve_growth"].map(|name| Table::new(name, &[], &[]));
+    let mut tables = ["solve", "solve_against", "solve_growth"].map(|name| Table::new(name, &[], &[]));
     tables[0].rows = rows;
     derive(&mut tables);
     tables[2].rows.clone()
@@ -227,13 +189,8 @@ fn growth_of(rows: Vec<Row>) -> Vec<Row> {
 fn a_solve_that_did_not_converge_is_in_no_exponent() {
     let mut rows = vec![a_row(20, 0, "converged", 1), a_row(40, 0, "converged", 1)];
     let fitted = growth_of(rows.clone());
-    let [found] = &fitted[..] else {
-        panic!("{fitted:?}")
-    };
-    assert_eq!(
-        ["rows", "from", "to"].map(|name| found.count(name)),
-        [2, 8000, 64000]
-    );
+    let [found] = &fitted[..] else { panic!("{fitted:?}") };
+    assert_eq!(["rows", "from", "to"].map(|name| found.count(name)), [2, 8000, 64000]);
     for name in ["exponent", "exponent_last"] {
         assert!((found.number(name) - 1.0).abs() < 1e-12, "{found:?}");
     }
@@ -252,19 +209,8 @@ fn a_solve_that_did_not_converge_is_in_no_exponent() {
 fn a_beam_that_stays_is_no_growth_of_both() {
     // The beams of 20 and 40 cells are one, and those of 80 and 170.
     let sizes = [(20, 135), (40, 135), (60, 352), (80, 725), (170, 725)];
-    let found = growth_of(
-        sizes
-            .map(|(grid, nodes)| a_row(grid, nodes, "converged", 1))
-            .to_vec(),
-    );
-    let told = found.iter().map(|row| {
-        (
-            row.text("along"),
-            row.count("fixed"),
-            row.count("from"),
-            row.count("to"),
-        )
-    });
+    let found = growth_of(sizes.map(|(grid, nodes)| a_row(grid, nodes, "converged", 1)).to_vec());
+    let told = found.iter().map(|row| (row.text("along"), row.count("fixed"), row.count("from"), row.count("to")));
     let expected = [
         ("both", 0, 40_usize.pow(3), 80_usize.pow(3)),
         ("cells", 135, 20_usize.pow(3), 40_usize.pow(3)),
@@ -280,33 +226,20 @@ fn all_reference_solvers_pass_the_residuals_of_the_device() {
     let pressure = BaseBlock::new(8).pressure_system();
     let scene = BaseScene::new(8, &BaseBeam::default()).unwrap();
     let both = scene.coupled_system();
-    let systems = [
-        Assembled::Pressure(&pressure),
-        Assembled::Both(&both, &scene.solids),
-    ];
+    let systems = [Assembled::Pressure(&pressure), Assembled::Both(&both, &scene.solids)];
     // A loose one, that of the tables, and one that needs refinement steps.
     for tolerance in [1e-4, 1e-8, 1e-10] {
-        let settings = Solver {
-            tolerance,
-            max_iterations: 10_000,
-            ..Solver::default()
-        };
+        let settings = Solver { tolerance, max_iterations: 10_000, ..Solver::default() };
         for (system, parts) in systems.into_iter().zip([1, 2]) {
-            for reference in [
-                ReferenceSolver::IncompleteCholesky,
-                ReferenceSolver::Cholesky,
-                ReferenceSolver::Multigrid,
-            ] {
+            for reference in
+                [ReferenceSolver::IncompleteCholesky, ReferenceSolver::Cholesky, ReferenceSolver::Multigrid]
+            {
                 let reports = system.solve(reference, &settings).unwrap().unwrap();
                 assert_eq!(reports.len(), parts);
                 let ended = Ended::new(&reports);
                 let what = format!("{} to {tolerance}: {ended}", reference.name());
                 assert_eq!(ended.name(tolerance), "converged", "{what}");
-                assert_eq!(
-                    ended.iterations == 0,
-                    reference == ReferenceSolver::Cholesky,
-                    "{what}"
-                );
+                assert_eq!(ended.iterations == 0, reference == ReferenceSolver::Cholesky, "{what}");
             }
         }
     }
@@ -317,10 +250,7 @@ fn grids_without_room_are_refused_before_any_work() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
-    let options = Options {
-        grids: vec![8, 1024],
-        ..options(vec![Formulation::Pressure])
-    };
+    let options = Options { grids: vec![8, 1024], ..options(vec![Formulation::Pressure]) };
     let largest = largest_grid(gpu.report(), &options.solvers).unwrap();
     // Free memory, which may decide, changes while other tests run.
     assert!((20..1020).contains(&largest) && largest.is_multiple_of(10));

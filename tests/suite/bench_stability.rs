@@ -4,8 +4,8 @@ use std::fs;
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench::stability::{
-    Budget, Case, Expected, Options, cases, check, completed, count, growth, limits, measure,
-    name_misses, solid_diagnosis,
+    Budget, Case, Expected, Options, cases, check, completed, count, growth, limits, measure, name_misses,
+    solid_diagnosis,
 };
 use cutwater::measure::bench::table::Row;
 use cutwater::reference::max_speed;
@@ -52,10 +52,7 @@ fn assert_sound(row: &Row, steps: u64) {
     let [motion, speed, seconds] = numbers(row, ["motion", "solid_speed", "seconds"]);
     assert!(motion > 0.0 && speed > 0.0 && seconds > 0.0, "{row:?}");
     for name in ["motion", "solid_speed", "liquid_speed"] {
-        assert!(
-            row.number(name) <= row.number(&format!("{name}_bound")),
-            "{row:?}"
-        );
+        assert!(row.number(name) <= row.number(&format!("{name}_bound")), "{row:?}");
     }
     // A beam of two cells in an obstacle: the centres of its cells are half a cell deep in both.
     let overlaps = row.number("overlap") > 0.5;
@@ -106,17 +103,9 @@ fn the_measured_failures_are_the_known_ones() {
 /// A known failure is reported as one, with its cause.
 #[test]
 fn a_known_failure_fails_the_bench() {
-    let options = Options {
-        steps: YOUNG_STEPS,
-        backend: Backend::Cpu,
-        ..options(&["young_1e3", "young_1e5"])
-    };
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
-    let [soft, stiffer] = table.rows("stability") else {
-        panic!("{:?}", table.rows("stability"))
-    };
+    let options = Options { steps: YOUNG_STEPS, backend: Backend::Cpu, ..options(&["young_1e3", "young_1e5"]) };
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
+    let [soft, stiffer] = table.rows("stability") else { panic!("{:?}", table.rows("stability")) };
     assert!(stiffer.flag("passed") && completed(stiffer), "{stiffer:?}");
     let mended = "remove known_failure of young_1e3 from cases.toml and measure the table of docs/bench.md anew";
     let fails = !soft.flag("passed") && !completed(soft);
@@ -126,12 +115,7 @@ fn a_known_failure_fails_the_bench() {
     let error = table.results.verdict().unwrap_err();
     let text = error.to_string();
     assert_eq!(error.exit_code(), 1);
-    for part in [
-        "1 of 2 cases",
-        "young_1e3: step ",
-        "energy of motion",
-        "(known: the pool's pressure",
-    ] {
+    for part in ["1 of 2 cases", "young_1e3: step ", "energy of motion", "(known: the pool's pressure"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     assert!(!text.contains("young_1e5"), "{text}");
@@ -150,9 +134,7 @@ fn hostile_cases_keep_their_energy() {
         "empty_nothing",
     ];
     let options = options(&names);
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     let rows = table.rows("stability");
     assert_eq!([table.told, rows.len()], [names.len(); 2]);
     for row in rows {
@@ -197,14 +179,8 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
         ("corner_light_stiff_1000", 0.0),
     ];
     let names = most_lost.map(|(name, _)| name);
-    let options = Options {
-        steps: STEPS_F64,
-        backend: Backend::Cpu,
-        ..options(&names)
-    };
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let options = Options { steps: STEPS_F64, backend: Backend::Cpu, ..options(&names) };
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     table.results.verdict().unwrap();
     let rows = table.rows("stability");
     let found: Vec<&str> = rows.iter().map(|row| row.text("name")).collect();
@@ -250,15 +226,11 @@ fn strong_coupling_keeps_the_thesis_beam_stiff() {
 fn weak_coupling_grows_by_the_ratio_of_added_mass_whatever_the_sub_step() {
     let Some(_) = gpu() else { return };
     let options = options(&["limit_0.8_w_dt_0_", "limit_2_w_dt_0_"]);
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     table.results.verdict().unwrap();
     let limits = table.rows("stability_limit");
     let growth: Vec<f64> = limits.iter().map(|row| row.number("got")).collect();
-    let [a, b, c, d, ..] = growth[..] else {
-        panic!("{growth:?}")
-    };
+    let [a, b, c, d, ..] = growth[..] else { panic!("{growth:?}") };
     for (got, expected) in [(a, 0.8), (b, 2.0), (c, 0.8), (d, 2.0)] {
         assert!((got / expected - 1.0).abs() <= 5e-3, "{growth:?}");
     }
@@ -272,13 +244,8 @@ fn weak_coupling_grows_by_the_ratio_of_added_mass_whatever_the_sub_step() {
 /// 5 % below the limit m_a / m_s = 1 + (w dt)^2 / 4 what there is of motion decays, 5 % above it grows.
 #[test]
 fn weak_coupling_has_its_limit_within_5_percent() {
-    let options = Options {
-        backend: Backend::Cpu,
-        ..options(&["limit_0.95_", "limit_1.05_"])
-    };
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let options = Options { backend: Backend::Cpu, ..options(&["limit_0.95_", "limit_1.05_"]) };
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     table.results.verdict().unwrap();
     let mut sides = Vec::new();
     for row in table.rows("stability_limit") {
@@ -304,9 +271,7 @@ fn every_case_is_a_scene_of_its_own_name() {
     assert_eq!(names.len(), n);
     for case in &cases {
         let name = &case.name;
-        let scene = case
-            .scene()
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        let scene = case.scene().unwrap_or_else(|error| panic!("{name}: {error}"));
         assert!(!scene.solids.is_empty() && scene.liquid.is_some(), "{name}");
     }
     // One unknown part is one too many, and nothing has run or is written by then.
@@ -329,11 +294,7 @@ fn case(name: &str) -> Case {
 }
 
 /// The row of a case after its start, changed, with the largest speed of a face.
-fn checked(
-    case: &Case,
-    change: impl Fn(&mut State),
-    speed: impl Fn(&State) -> f64,
-) -> (Row, State) {
+fn checked(case: &Case, change: impl Fn(&mut State), speed: impl Fn(&State) -> f64) -> (Row, State) {
     let scene = case.scene().unwrap();
     let simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
     let (solids, mut state) = (simulation.solids(), simulation.state().unwrap());
@@ -366,10 +327,7 @@ fn share(row: &Row, name: &str) -> f64 {
 #[test]
 fn a_light_solid_that_is_thrown_is_told_from_the_pool_at_rest() {
     let row = moved("density_1e-3", usize::MAX, 0.0, 100.0);
-    assert!(
-        !completed(&row) && share(&row, "energy_ratio") < 1.0,
-        "{row:?}"
-    );
+    assert!(!completed(&row) && share(&row, "energy_ratio") < 1.0, "{row:?}");
     assert!((70.0..90.0).contains(&row.number("motion")), "{row:?}");
     assert!(share(&row, "motion") > 1.5, "{row:?}");
     assert!(share(&row, "solid_speed") > 5.0, "{row:?}");
@@ -402,10 +360,7 @@ fn a_solid_that_falls_is_within_its_bounds_and_one_that_is_twice_as_fast_is_not(
 fn every_start_is_within_its_bounds() {
     for case in cases(1, 0.4).unwrap() {
         let (row, state) = checked(&case, |_| {}, |state| max_speed(&state.velocity));
-        assert!(
-            completed(&row) && row.number("motion_bound") > 0.0,
-            "{row:?}"
-        );
+        assert!(completed(&row) && row.number("motion_bound") > 0.0, "{row:?}");
         for name in ["energy", "motion", "solid_speed", "liquid_speed"] {
             assert!(row.number(&format!("{name}_bound")).is_finite(), "{row:?}");
         }
@@ -435,8 +390,7 @@ fn sub_steps_that_miss_are_named_and_more_than_a_hundredth_fail() {
     count(&mut row, true, true);
     (0..19).for_each(|_| count(&mut row, true, false));
     name_misses(&mut row);
-    let named =
-        "completed, 20 sub-steps missed a tolerance, 1 sub-step with contacts that did not settle";
+    let named = "completed, 20 sub-steps missed a tolerance, 1 sub-step with contacts that did not settle";
     assert_eq!(row.text("status"), named);
     assert!(Expected::Completes.holds(&row));
     count(&mut row, true, false);

@@ -24,28 +24,18 @@ fn tables_are_complete() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/drop_into_pool.toml");
-    let options = Options {
-        scenes: vec![at_scale(&file, 1.0 / 3.0)],
-        frames: 3,
-        adapter: AdapterChoice::Best,
-    };
+    let options = Options { scenes: vec![at_scale(&file, 1.0 / 3.0)], frames: 3, adapter: AdapterChoice::Best };
     let mut told = 0;
     let results = {
         let mut listener = counted(&mut told);
         measure(&options, &settings(folder.path(), 2), &mut listener).unwrap()
     };
-    let [row] = results.rows("step") else {
-        panic!("{:?}", results.rows("step"))
-    };
+    let [row] = results.rows("step") else { panic!("{:?}", results.rows("step")) };
     assert_spread(row, "seconds");
     assert!(row.count("sub_steps") >= 2, "{row:?}");
     assert_eq!((row.count("runs"), row.text("kind")), (2, "apart"));
     // The mean of a run lies between its sub-steps. Of two runs medians are means, which keep that.
-    let ends = [
-        "sub_step_seconds_min",
-        "seconds_median",
-        "sub_step_seconds_max",
-    ];
+    let ends = ["sub_step_seconds_min", "seconds_median", "sub_step_seconds_max"];
     let [least, mean, most] = numbers(row, ends);
     let slack = 1e-9 * mean;
     assert!(least <= mean + slack && mean <= most + slack, "{row:?}");
@@ -68,14 +58,8 @@ fn tables_are_complete() {
     // With --resume all is there; with another request nothing is kept.
     let again = |frames, resume| {
         let mut told = 0;
-        let options = Options {
-            frames,
-            ..options.clone()
-        };
-        let settings = cutwater::measure::bench::Settings {
-            resume,
-            ..settings(folder.path(), 2)
-        };
+        let options = Options { frames, ..options.clone() };
+        let settings = cutwater::measure::bench::Settings { resume, ..settings(folder.path(), 2) };
         let results = measure(&options, &settings, &mut counted(&mut told));
         results.map(|results| (told, results))
     };
@@ -122,15 +106,8 @@ fn a_scene_is_written_before_another_one_fails() {
     let scene = at_scale(&file, 1.0);
     // The condensed form is not for f32.
     let mut refused = scene.clone();
-    refused.scene.solver = Solver {
-        precision: Precision::F32,
-        ..scene.scene.solver
-    };
-    let options = Options {
-        scenes: vec![scene, refused],
-        frames: 3,
-        adapter: AdapterChoice::Best,
-    };
+    refused.scene.solver = Solver { precision: Precision::F32, ..scene.scene.solver };
+    let options = Options { scenes: vec![scene, refused], frames: 3, adapter: AdapterChoice::Best };
     let mut told = Vec::new();
     let error = measure(&options, &settings(&out, 1), &mut |event| {
         if let Event::Row(table, row) = event
@@ -191,15 +168,9 @@ fn sub_steps_of_solids_have_a_row_for_every_stage() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("swing.toml");
     fs::write(&file, SWING).unwrap();
-    let options = Options {
-        scenes: vec![at_scale(&file, 1.0)],
-        frames: 3,
-        adapter: AdapterChoice::Best,
-    };
+    let options = Options { scenes: vec![at_scale(&file, 1.0)], frames: 3, adapter: AdapterChoice::Best };
     let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
-    let [row] = table.rows("step") else {
-        panic!("{:?}", table.rows("step"))
-    };
+    let [row] = table.rows("step") else { panic!("{:?}", table.rows("step")) };
     assert_spread(row, "seconds");
     assert_eq!((row.count("nodes"), row.count("elements")), (81, 6 * 32));
     assert_eq!(row.number("solid_unknowns"), 3.0 * 72.0);
@@ -227,29 +198,16 @@ fn solids_are_refined_beside_the_grid_and_kinds_of_sub_steps_are_told_apart() {
     };
     let sizes = [[1.0, 0.5], [1.0, 1.0], [2.0, 0.5], [2.0, 1.0]];
     let scenes = sizes.map(|[scale, solids_scale]| case(scale, solids_scale));
-    let options = Options {
-        scenes: scenes.to_vec(),
-        frames: 3,
-        adapter: AdapterChoice::Best,
-    };
+    let options = Options { scenes: scenes.to_vec(), frames: 3, adapter: AdapterChoice::Best };
     let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     // 1 x 2 x 1 bricks and 2 x 4 x 2.
     let rows = table.rows("step");
-    let sizes: Vec<_> = rows
-        .iter()
-        .map(|row| (row.count("cells"), row.count("nodes"), row.text("kind")))
-        .collect();
+    let sizes: Vec<_> = rows.iter().map(|row| (row.count("cells"), row.count("nodes"), row.text("kind"))).collect();
     let expected = [(512, 12), (512, 45), (4096, 12), (4096, 45)];
     let expected = expected.map(|(cells, nodes)| (cells, nodes, "touching"));
     assert_eq!(sizes, expected, "{rows:?}");
     let along: Vec<_> = table.rows("step_growth").iter().map(of_growth).collect();
-    let expected = [
-        ("cells", 12, 2),
-        ("cells", 45, 2),
-        ("nodes", 512, 2),
-        ("nodes", 4096, 2),
-        ("both", 0, 2),
-    ];
+    let expected = [("cells", 12, 2), ("cells", 45, 2), ("nodes", 512, 2), ("nodes", 4096, 2), ("both", 0, 2)];
     assert_eq!(along, expected);
     // A bar has the stages of its own sub-steps.
     for row in rows {
@@ -295,10 +253,7 @@ fn rows_of_other_kinds_are_in_no_exponent() {
     assert_eq!(along, [("cells", 0, 2)]);
     assert!((fitted[0].number("exponent") - 1.0).abs() < 1e-12);
     // One size is no growth, nor are meshes that no scale changes refined.
-    let same = [
-        a_row(0.2, 0.5, 1000, 50, "touching"),
-        a_row(0.4, 1.0, 8000, 50, "touching"),
-    ];
+    let same = [a_row(0.2, 0.5, 1000, 50, "touching"), a_row(0.4, 1.0, 8000, 50, "touching")];
     let fitted = growth_of(&same);
     let along: Vec<_> = fitted.iter().map(of_growth).collect();
     assert_eq!(along, [("cells", 50, 2)]);

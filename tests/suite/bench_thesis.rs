@@ -37,13 +37,8 @@ fn options(grids: &[usize]) -> Options {
 #[test]
 fn scenes_have_their_meshes_beside_the_printed_ones() {
     let Some(gpu) = gpu() else { return };
-    let options = Options {
-        tables: vec!["6.1".to_owned()],
-        ..options(&[])
-    };
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let options = Options { tables: vec!["6.1".to_owned()], ..options(&[]) };
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     assert_eq!((table.told, table.rows("thesis_scenes").len()), (7, 7));
     for row in table.rows("thesis_scenes") {
         let file = options.scenes.join(format!("{}.toml", row.text("scene")));
@@ -76,8 +71,7 @@ fn scenes_have_their_meshes_beside_the_printed_ones() {
     // The cube is under water from the start, the beam has not been reached.
     let touching = |name: &str| {
         let mut rows = table.rows("thesis_scenes").iter();
-        rows.find(|row| row.text("scene") == name)
-            .map(|row| row.count("touching"))
+        rows.find(|row| row.text("scene") == name).map(|row| row.count("touching"))
     };
     assert_eq!(touching("compressibility"), Some(2));
     assert_eq!(touching("dam_break"), Some(0));
@@ -85,9 +79,7 @@ fn scenes_have_their_meshes_beside_the_printed_ones() {
     let lines: Vec<&str> = csv.lines().collect();
     assert!(lines[0].starts_with("table,name,scene,scale,"), "{csv}");
     let line = |name: &str| lines.iter().any(|line| line.starts_with(name));
-    assert!(line(
-        "6.1,Dam Break,dam_break,0.2,mixed,8000,1000000,725,725,2688,2688,"
-    ));
+    assert!(line("6.1,Dam Break,dam_break,0.2,mixed,8000,1000000,725,725,2688,2688,"));
     assert!(table.text("thesis.json").contains("\"Light Dino\""));
     table.assert_written(&["thesis.json"]);
     assert!(!table.file("thesis.svg").exists(), "it has no chart");
@@ -96,11 +88,7 @@ fn scenes_have_their_meshes_beside_the_printed_ones() {
 #[test]
 fn scenes_that_are_not_there_are_told() {
     let folder = tempfile::tempdir().unwrap();
-    let options = Options {
-        tables: vec!["6.1".to_owned()],
-        scenes: folder.path().join("nowhere"),
-        ..options(&[])
-    };
+    let options = Options { tables: vec!["6.1".to_owned()], scenes: folder.path().join("nowhere"), ..options(&[]) };
     let error = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap_err();
     assert_eq!(error.exit_code(), 2);
     let text = error.to_string();
@@ -113,9 +101,7 @@ fn scenes_that_are_not_there_are_told() {
 fn errors_are_below_the_printed_ones_and_fall() {
     let Some(_) = gpu() else { return };
     let options = options(&[5, 10, 20, 40]);
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
     assert_eq!((table.told, table.rows("thesis").len()), (32, 32));
     for row in table.rows("thesis") {
         assert_eq!(row.text("status"), "converged", "{row:?}");
@@ -150,20 +136,11 @@ fn errors_are_below_the_printed_ones_and_fall() {
     for pair in orders.chunks(2) {
         let [cpu, gpu] = pair else { panic!("{pair:?}") };
         assert_eq!(cpu.text("table"), gpu.text("table"));
-        let backends = [
-            cpu.text("backend"),
-            gpu.text("backend"),
-            gpu.text("precision"),
-        ];
+        let backends = [cpu.text("backend"), gpu.text("backend"), gpu.text("precision")];
         assert_eq!(backends, ["cpu", "gpu", "mixed"]);
         assert_close([cpu, gpu], ["order_p", "order_v", "order_u"], 0.01);
     }
-    let files = [
-        "thesis.csv",
-        "thesis_orders.csv",
-        "thesis.json",
-        "thesis.svg",
-    ];
+    let files = ["thesis.csv", "thesis_orders.csv", "thesis.json", "thesis.svg"];
     table.assert_written(&files);
 }
 
@@ -185,20 +162,10 @@ fn assert_orders(order: &Row, least_v: f64) {
 #[test]
 fn orders_hold_down_to_the_finest_cells() {
     let Some(_) = gpu() else { return };
-    let options = Options {
-        precisions: Vec::new(),
-        ..options(&[10, 20, 40, 80])
-    };
-    let table = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
-    let ours = table
-        .rows("thesis_orders")
-        .iter()
-        .filter(|order| order.text("backend") == "cpu");
-    let ours: Vec<&Row> = ours
-        .filter(|order| order.text("patch_pressure") == "hydrostatic")
-        .collect();
+    let options = Options { precisions: Vec::new(), ..options(&[10, 20, 40, 80]) };
+    let table = measured(1, |settings, listener| measure(&options, settings, listener));
+    let ours = table.rows("thesis_orders").iter().filter(|order| order.text("backend") == "cpu");
+    let ours: Vec<&Row> = ours.filter(|order| order.text("patch_pressure") == "hydrostatic").collect();
     assert_eq!(ours.len(), 2);
     for order in ours {
         assert_eq!((order.count("coarsest"), order.count("finest")), (10, 80));
@@ -263,11 +230,7 @@ fn frames_and_grids_that_do_not_fit_are_refused() {
         ("6.4", 12, 0, "10,40,80"),
         ("6.2", 12, 97, "10,40,80"),
     ] {
-        let options = Options {
-            tables: vec![table.to_owned()],
-            frames: vec![frame],
-            ..options(&[grid])
-        };
+        let options = Options { tables: vec![table.to_owned()], frames: vec![frame], ..options(&[grid]) };
         let error = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         assert!(error.to_string().contains(cure), "{error}");
@@ -301,10 +264,7 @@ fn condition_numbers_are_those_of_all_eigenvalues() {
     for (sigma, alpha) in [(0.9, 1e-3), (0.9, 1.0), (0.5, 1e-3)] {
         let found = conditions(&system, sigma, alpha).unwrap();
         let two_field = exact(blocks.two_field(sigma).unwrap(), alpha);
-        for (found, exact) in [
-            (found.indefinite, exact(blocks.indefinite(), alpha)),
-            (found.two_field, two_field),
-        ] {
+        for (found, exact) in [(found.indefinite, exact(blocks.indefinite(), alpha)), (found.two_field, two_field)] {
             let off = found.two_norm - exact;
             assert!(off.abs() < 2e-3, "{sigma} {alpha}: {found:?} {exact}");
             assert_eq!(found.two_norm_exact, Some(exact));
@@ -337,10 +297,9 @@ fn one_norms_are_estimated_closely_from_below() {
         (of_matrix.into_iter().fold(0.0, f64::max) * of_inverse).log10()
     };
     let found = conditions(&system, sigma, alpha).unwrap();
-    for (found, exact) in [
-        (found.indefinite, exact(blocks.indefinite())),
-        (found.two_field, exact(blocks.two_field(sigma).unwrap())),
-    ] {
+    for (found, exact) in
+        [(found.indefinite, exact(blocks.indefinite())), (found.two_field, exact(blocks.two_field(sigma).unwrap()))]
+    {
         // Rounding of the solves apart, never above; Hager's estimate is hardly ever a third.
         let below = exact - found.one_norm;
         let close = (-2e-3..3.0_f64.log10()).contains(&below);
@@ -356,9 +315,7 @@ fn systems_of_the_dam_break_are_measured() {
         tables: vec!["6.2".to_owned(), "6.4".to_owned()],
         ..options(&[12])
     };
-    let results = measured(1, |settings, listener| {
-        measure(&options, settings, listener)
-    });
+    let results = measured(1, |settings, listener| measure(&options, settings, listener));
     let systems = results.rows("thesis_systems");
     assert_eq!(results.told, systems.len());
     for row in systems.iter().filter(|row| row.has("status")) {
@@ -369,18 +326,12 @@ fn systems_of_the_dam_break_are_measured() {
         assert!(seconds.iter().all(|seconds| *seconds > 0.0), "{row:?}");
     }
     let of = |table: &str, form: &str, backend: &str| -> Vec<f64> {
-        let names =
-            |row: &Row| ["table", "formulation", "backend"].map(|name| row.text(name).to_owned());
+        let names = |row: &Row| ["table", "formulation", "backend"].map(|name| row.text(name).to_owned());
         let means = results.rows("thesis_means").iter();
-        means
-            .filter(|row| names(row) == [table, form, backend])
-            .map(|row| row.number("mean"))
-            .collect()
+        means.filter(|row| names(row) == [table, form, backend]).map(|row| row.number("mean")).collect()
     };
     // The iterations are off all eigenvalues by 1e-4 of both ends.
-    let exact = systems
-        .iter()
-        .filter(|row| row.has("log10_condition_exact"));
+    let exact = systems.iter().filter(|row| row.has("log10_condition_exact"));
     let ends = exact.map(|row| numbers(row, ["log10_condition", "log10_condition_exact"]));
     let ends: Vec<[f64; 2]> = ends.collect();
     assert_eq!(ends.len(), 3, "the indefinite matrix twice");
@@ -392,10 +343,7 @@ fn systems_of_the_dam_break_are_measured() {
     assert_eq!(velocities.len(), 2);
     let more = velocities.iter().zip(&stresses).all(|(a, b)| 2.0 * a < *b);
     assert!(more, "{velocities:?} {stresses:?}");
-    assert!(
-        results.rows("thesis_growth").is_empty(),
-        "there is one grid"
-    );
+    assert!(results.rows("thesis_growth").is_empty(), "there is one grid");
     for (file, columns) in [
         ("thesis_systems.csv", "table,grid,nodes,elements,frame,dt,"),
         (
@@ -412,16 +360,9 @@ fn systems_of_the_dam_break_are_measured() {
 
     // Resumes: only the states that are missing are measured, and the rows of the others are there to the digit.
     let before = results.text("thesis_systems.csv");
-    let more = Options {
-        tables: vec!["6.4".to_owned()],
-        frames: vec![9, 10],
-        ..options
-    };
+    let more = Options { tables: vec!["6.4".to_owned()], frames: vec![9, 10], ..options };
     let resumed = |listener: &mut dyn FnMut(Event)| {
-        let settings = cutwater::measure::bench::Settings {
-            resume: true,
-            ..settings(&results.file(""), 1)
-        };
+        let settings = cutwater::measure::bench::Settings { resume: true, ..settings(&results.file(""), 1) };
         measure(&more, &settings, listener)
     };
     let mut frames = Vec::new();
@@ -461,13 +402,7 @@ fn systems_of_the_dam_break_are_measured() {
 }
 
 fn derived(table: &str, rows: &[Row], name: &str) -> Vec<Row> {
-    let names = [
-        "thesis",
-        "thesis_systems",
-        "thesis_means",
-        "thesis_growth",
-        "thesis_orders",
-    ];
+    let names = ["thesis", "thesis_systems", "thesis_means", "thesis_growth", "thesis_orders"];
     let mut tables = names.map(|name| Table::new(name, &[], &[]));
     let of = |name: &str| names.iter().position(|other| *other == name).unwrap();
     tables[of(table)].rows = rows.to_vec();
@@ -476,11 +411,7 @@ fn derived(table: &str, rows: &[Row], name: &str) -> Vec<Row> {
 }
 
 fn system(grid: usize, frame: usize, formulation: &str, seconds: f64) -> Row {
-    let whole = Spread {
-        median: 4.0 * seconds,
-        min: 2.0 * seconds,
-        max: 8.0 * seconds,
-    };
+    let whole = Spread { median: 4.0 * seconds, min: 2.0 * seconds, max: 8.0 * seconds };
     row! {
         table: "6.3", grid: grid, nodes: 725_usize, elements: 2688_usize, frame: frame, formulation: formulation, solver: "IC(0)-CG",
         backend: "cpu", precision: "f64", status: "converged", seconds: Spread::exact(seconds), frame_seconds: whole,
@@ -517,19 +448,14 @@ fn means_and_powers_stand_beside_the_printed_ones() {
 #[test]
 fn numbers_that_the_thesis_does_not_print_are_empty() {
     let of = |solver: &str| {
-        let matrix = row! { table: "6.2", solver: solver, nonzeros: 157_498_usize, log10_condest: 8.347, log10_condition: 8.0 };
+        let matrix =
+            row! { table: "6.2", solver: solver, nonzeros: 157_498_usize, log10_condest: 8.347, log10_condition: 8.0 };
         system(40, 10, "indefinite", 1.635).with(matrix)
     };
     let both = ["BiCGSTAB-ILU(0)", "MINRES-IC(0)"].map(of);
     let means = derived("thesis_systems", &both, "thesis_means");
-    let printed = means
-        .iter()
-        .map(|mean| (mean.text("quantity"), mean.has("thesis"), mean.has("ratio")));
-    let matrix = [
-        ("nonzeros", true, true),
-        ("log10_condest", true, true),
-        ("log10_condition", false, false),
-    ];
+    let printed = means.iter().map(|mean| (mean.text("quantity"), mean.has("thesis"), mean.has("ratio")));
+    let matrix = [("nonzeros", true, true), ("log10_condest", true, true), ("log10_condition", false, false)];
     let [bicgstab, minres] = [true, false].map(|both| ("seconds", both, both));
     let expected = [&matrix[..], &[bicgstab], &matrix, &[minres]].concat();
     assert_eq!(printed.collect::<Vec<_>>(), expected);
@@ -537,32 +463,18 @@ fn numbers_that_the_thesis_does_not_print_are_empty() {
 
 #[test]
 fn seconds_of_solves_that_did_not_pass_enter_no_mean() {
-    let failed = |grid, frame| {
-        system(grid, frame, "two-field", 100.0).with(row! { status: "iteration_limit" })
-    };
+    let failed = |grid, frame| system(grid, frame, "two-field", 100.0).with(row! { status: "iteration_limit" });
     let rounded = system(60, 10, "two-field", 2.0).with(row! { status: "converged_to_rounding" });
-    let rows = [
-        system(50, 10, "two-field", 1.0),
-        failed(50, 40),
-        rounded,
-        failed(100, 10),
-    ];
+    let rows = [system(50, 10, "two-field", 1.0), failed(50, 40), rounded, failed(100, 10)];
     let means = derived("thesis_systems", &rows, "thesis_means");
-    let found = means
-        .iter()
-        .map(|mean| numbers(mean, ["grid", "states", "mean"]));
-    assert_eq!(
-        found.collect::<Vec<_>>(),
-        [[50.0, 1.0, 4.0], [60.0, 1.0, 8.0]]
-    );
+    let found = means.iter().map(|mean| numbers(mean, ["grid", "states", "mean"]));
+    assert_eq!(found.collect::<Vec<_>>(), [[50.0, 1.0, 4.0], [60.0, 1.0, 8.0]]);
     let growth = derived("thesis_systems", &rows, "thesis_growth");
     assert_eq!((growth.len(), growth[0].count("finest")), (1, 60));
     // The matrix is what it is.
     let matrix = failed(40, 10).with(row! { table: "6.2", nonzeros: 5_usize });
     let means = derived("thesis_systems", &[matrix], "thesis_means");
-    let [mean] = &means[..] else {
-        panic!("{means:?}")
-    };
+    let [mean] = &means[..] else { panic!("{means:?}") };
     let found = (mean.text("quantity"), numbers(mean, ["states", "mean"]));
     assert_eq!(found, ("nonzeros", [1.0, 5.0]));
 }
@@ -598,11 +510,7 @@ fn a_solve_that_did_not_converge_has_no_order() {
 fn an_adapter_without_the_precision_leaves_the_f64_path() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let options = Options {
-        tables: vec!["6.5".to_owned()],
-        precisions: vec![Precision::F64],
-        ..options(&[5])
-    };
+    let options = Options { tables: vec!["6.5".to_owned()], precisions: vec![Precision::F64], ..options(&[5]) };
     // What an earlier run has left of tables that are not asked for now.
     let left = ["thesis_scenes.csv", "thesis_means.csv"].map(|file| folder.path().join(file));
     left.iter().for_each(|file| fs::write(file, "").unwrap());

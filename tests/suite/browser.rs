@@ -63,10 +63,7 @@ fn browser() -> Option<String> {
         Err(error) => error.to_string(),
     };
     let required = std::env::var("REQUIRE_BROWSER").is_ok_and(|value| value == "1");
-    assert!(
-        !required,
-        "REQUIRE_BROWSER=1 and {name} does not run: {problem}"
-    );
+    assert!(!required, "REQUIRE_BROWSER=1 and {name} does not run: {problem}");
     eprintln!("skipped for want of {name}: {problem}");
     None
 }
@@ -102,47 +99,24 @@ fn found(browser: &str, page: &Path, width: u32) -> Value {
         .unwrap();
     let laid_out = String::from_utf8(output.stdout).unwrap();
     let found = laid_out.split("<pre id=\"found\">").nth(1);
-    let found = found.unwrap_or_else(|| {
-        panic!(
-            "no page came of it: {}",
-            String::from_utf8_lossy(&output.stderr)
-        )
-    });
+    let found = found.unwrap_or_else(|| panic!("no page came of it: {}", String::from_utf8_lossy(&output.stderr)));
     let found = found.split("</pre>").next().unwrap();
-    serde_json::from_str(
-        &found
-            .replace("&gt;", ">")
-            .replace("&lt;", "<")
-            .replace("&amp;", "&"),
-    )
-    .unwrap()
+    serde_json::from_str(&found.replace("&gt;", ">").replace("&lt;", "<").replace("&amp;", "&")).unwrap()
 }
 
 /// Commands that fill a folder each, all on the smallest there is to measure.
 const COMMANDS: [(&str, &str); 8] = [
     ("run", "run dam.toml --backend cpu --frames 3 --preview"),
     ("plots", "plot results/run"),
-    (
-        "thesis",
-        "bench thesis --tables 6.5 --grids 5,10 --repeats 1",
-    ),
-    (
-        "solve",
-        "bench solve --formulation pressure --grids 8,10 --repeats 1",
-    ),
+    ("thesis", "bench thesis --tables 6.5 --grids 5,10 --repeats 1"),
+    ("solve", "bench solve --formulation pressure --grids 8,10 --repeats 1"),
     ("effects", "bench effects dam.toml --frames 1"),
     (
         "accuracy",
         "bench accuracy dam.toml --frames 1 --grids 10 --precision mixed --preconditioner multigrid --tolerance 1e-3,1e-6 --repeats 1",
     ),
-    (
-        "step",
-        "bench step dam.toml --scale 0.5,1 --frames 2 --repeats 1",
-    ),
-    (
-        "stability",
-        "bench stability --steps 8 --cases droplet_one,start_spun",
-    ),
+    ("step", "bench step dam.toml --scale 0.5,1 --frames 2 --repeats 1"),
+    ("stability", "bench stability --steps 8 --cases droplet_one,start_spun"),
 ];
 /// A step table whose chart has labels of 16 characters, and a tick near the end of the axis of times.
 const EDGES: &str = "step,t,kinetic_energy
@@ -202,9 +176,7 @@ fn a_report_is_whole_in_a_browser() {
     let folders = names.into_iter().chain(["edges"]);
     let folders = folders.chain(measured.iter().map(String::as_str));
     let of_kind = |kind: &str| {
-        let counts = folders
-            .clone()
-            .map(|name| files(&results.join(name), kind).len());
+        let counts = folders.clone().map(|name| files(&results.join(name), kind).len());
         counts.sum::<usize>()
     };
     let (drawings, tables) = (of_kind("svg"), of_kind("csv"));
@@ -213,10 +185,7 @@ fn a_report_is_whole_in_a_browser() {
         let inner = results.join(name);
         assert!(!files(&inner, "svg").is_empty(), "no picture of {name}");
         let plots = *name == "plots";
-        assert!(
-            plots || !files(&inner, "csv").is_empty(),
-            "no table of {name}"
-        );
+        assert!(plots || !files(&inner, "csv").is_empty(), "no table of {name}");
     }
     for picture in ["stability/stability.svg", "validation/glance.svg"] {
         let picture = results.join("measured").join(picture);

@@ -158,12 +158,7 @@ fn goes_on(name: &str, scene: &Scene, backend: &Backend, steps: [usize; 2]) {
     for _ in 0..steps[0] {
         whole.step().unwrap();
     }
-    let options = RunOptions {
-        backend: backend.name().to_owned(),
-        frames: 9,
-        scale: 1.0,
-        overrides: Vec::new(),
-    };
+    let options = RunOptions { backend: backend.name().to_owned(), frames: 9, scale: 1.0, overrides: Vec::new() };
     let manifest = Manifest::new(scene, options, None);
     let mut written = Checkpoint {
         state: whole.state().unwrap(),
@@ -178,10 +173,7 @@ fn goes_on(name: &str, scene: &Scene, backend: &Backend, steps: [usize; 2]) {
     let mut again = Simulation::new(scene, backend).unwrap();
     again.resume(&read.state, &read.carried).unwrap();
     let moment = |of: &Simulation| (of.state().unwrap(), of.carried().unwrap());
-    assert!(
-        moment(&again) == moment(&whole),
-        "{name}: as it was put in place"
-    );
+    assert!(moment(&again) == moment(&whole), "{name}: as it was put in place");
     for step in 0..steps[1] {
         let [a, b] = [&mut whole, &mut again].map(|simulation| {
             let report = simulation.step().unwrap();
@@ -195,41 +187,17 @@ fn goes_on(name: &str, scene: &Scene, backend: &Backend, steps: [usize; 2]) {
 
 /// Scenes with every state that there is.
 fn cases() -> Vec<(&'static str, Scene, [usize; 2])> {
-    let weak = [
-        "liquid.surface=fixed",
-        "solver.coupling=weak",
-        "solver.precision=f32",
-        "solver.tolerance=1e-5",
-    ];
+    let weak = ["liquid.surface=fixed", "solver.coupling=weak", "solver.precision=f32", "solver.tolerance=1e-5"];
     vec![
-        (
-            "all that moves, pressures of the last step",
-            scene(POOL, &["solver.pressure_on_patches=gradient"]),
-            [5, 4],
-        ),
+        ("all that moves, pressures of the last step", scene(POOL, &["solver.pressure_on_patches=gradient"]), [5, 4]),
         ("weak, single precision", scene(POOL, &weak), [3, 3]),
-        (
-            "more room, two-field",
-            scene(GROWS, &["solver.formulation=two_field"]),
-            [6, 3],
-        ),
+        ("more room, two-field", scene(GROWS, &["solver.formulation=two_field"]), [6, 3]),
         ("solids alone", scene(DROPS, &[]), [7, 5]),
         ("liquid alone", scene(DAM, &[]), [7, 5]),
-        (
-            "level",
-            scene(DAM, &["liquid.surface=level", "time.duration=0.6"]),
-            [16, 6],
-        ),
+        ("level", scene(DAM, &["liquid.surface=level", "time.duration=0.6"]), [16, 6]),
         (
             "level with a source, a sink and an open side",
-            scene(
-                &format!("{DAM}{FLOWS}"),
-                &[
-                    "liquid.surface=level",
-                    "domain.open=[\"+x\"]",
-                    "time.duration=0.6",
-                ],
-            ),
+            scene(&format!("{DAM}{FLOWS}"), &["liquid.surface=level", "domain.open=[\"+x\"]", "time.duration=0.6"]),
             [20, 10],
         ),
     ]
@@ -255,12 +223,7 @@ fn small() -> (TempDir, Checkpoint) {
     let scene = scene(DAM, &["domain.cells=[6, 4, 2]"]);
     let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
     simulation.step().unwrap();
-    let options = RunOptions {
-        backend: "cpu".to_owned(),
-        frames: 6,
-        scale: 1.0,
-        overrides: Vec::new(),
-    };
+    let options = RunOptions { backend: "cpu".to_owned(), frames: 6, scale: 1.0, overrides: Vec::new() };
     let mut checkpoint = Checkpoint {
         state: simulation.state().unwrap(),
         carried: Carried::default(),
@@ -325,37 +288,19 @@ fn checkpoints_of_other_numbers_are_refused() {
             assert!(message.contains(part), "{message}");
         }
     };
-    refused(
-        &|checkpoint| checkpoint.state.velocity[1][3] = f64::NAN,
-        &["velocity_y", "number 3 is NaN"],
-    );
-    refused(
-        &|checkpoint| checkpoint.state.dt_last = f64::INFINITY,
-        &["dt_last", "inf"],
-    );
+    refused(&|checkpoint| checkpoint.state.velocity[1][3] = f64::NAN, &["velocity_y", "number 3 is NaN"]);
+    refused(&|checkpoint| checkpoint.state.dt_last = f64::INFINITY, &["dt_last", "inf"]);
     // And what the file cannot know is refused where the state is put in place.
     let scene = scene(DAM, &["domain.cells=[6, 4, 2]"]);
     let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
     let mut refused = |state: State| {
         let error = simulation.resume(&state, &Carried::default()).unwrap_err();
-        assert!(
-            error.to_string().contains("does not fit this scene"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("does not fit this scene"), "{error}");
     };
     let good = || checkpoint.state.clone();
-    refused(State {
-        active: Vec::new(),
-        ..good()
-    });
-    refused(State {
-        node_velocity: vec![[0.0; 3]; 2],
-        ..good()
-    });
-    refused(State {
-        time: 7.0,
-        ..good()
-    });
+    refused(State { active: Vec::new(), ..good() });
+    refused(State { node_velocity: vec![[0.0; 3]; 2], ..good() });
+    refused(State { time: 7.0, ..good() });
     refused(State { frame: 3, ..good() });
 }
 
@@ -363,10 +308,7 @@ fn checkpoints_of_other_numbers_are_refused() {
 fn exchange(path: &Path, array: &str, by: Option<&str>) {
     let mut from = ZipArchive::new(File::open(path).unwrap()).unwrap();
     let mut to = ZipWriter::new(Cursor::new(Vec::new()));
-    let names: Vec<String> = from
-        .file_names()
-        .map(|name| name.unwrap().into_owned())
-        .collect();
+    let names: Vec<String> = from.file_names().map(|name| name.unwrap().into_owned()).collect();
     for name in names {
         let mut source = name.clone();
         if name == format!("{array}.npy") {
@@ -397,11 +339,7 @@ fn checkpoints_of_other_arrays_are_refused() {
         ("time", Some("markers"), "numbers (<f4 or <f8) of shape []"),
         ("manifest", Some("format"), "array \"manifest\": "),
         ("cutwater", Some("active"), "instead of bytes"),
-        (
-            "cutwater",
-            Some("format"),
-            "was written by cutwater 4 (format 4), and this is",
-        ),
+        ("cutwater", Some("format"), "was written by cutwater 4 (format 4), and this is"),
     ] {
         let (folder, _) = small();
         exchange(&Checkpoint::path(folder.path()), array, by);
@@ -425,11 +363,7 @@ assert z['active'].dtype == bool and z['markers'].shape[1] == 3 and z['velocity_
 print(bytes(z['cutwater']).decode(), int(z['step']), repr(float(z['time'])), len(z['markers']), int(z['active'].sum()))
 print(repr(float(z['velocity_y'][1, 2, 3])), float(z['pressure'].max() > 0))
 ";
-    let output = Command::new(python)
-        .args(["-c", script])
-        .arg(Checkpoint::path(folder.path()))
-        .output()
-        .unwrap();
+    let output = Command::new(python).args(["-c", script]).arg(Checkpoint::path(folder.path())).output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{told}");
     let state = &checkpoint.state;
@@ -456,10 +390,7 @@ fn dam() -> TempDir {
 const ON_CPU: &str = "run dam.toml --backend cpu --scale 0.5";
 
 fn on_cpu(folder: &TempDir) -> Run<'_> {
-    Run {
-        folder: folder.path(),
-        arguments: ON_CPU,
-    }
+    Run { folder: folder.path(), arguments: ON_CPU }
 }
 
 /// Runs a command to its end, which must have this exit code: what it complains about.
@@ -478,10 +409,7 @@ fn progress(run: &Path) -> cutwater::output::manifest::Progress {
 #[test]
 fn killed_runs_go_on_to_the_bit() {
     let folder = dam();
-    let run = Run {
-        folder: folder.path(),
-        arguments: "run dam.toml --backend cpu",
-    };
+    let run = Run { folder: folder.path(), arguments: "run dam.toml --backend cpu" };
     let killed = run.killed(3, &mut Random(60));
     assert_eq!(killed.kills, 3);
     assert!(killed.runs >= 1, "{killed:?}");
@@ -498,31 +426,17 @@ fn interrupted_runs_go_on_to_the_bit() {
     };
     for backend in backends {
         let arguments = format!("run dam.toml --backend {backend} --set time.cfl=0.5");
-        let run = Run {
-            folder: folder.path(),
-            arguments: &arguments,
-        };
+        let run = Run { folder: folder.path(), arguments: &arguments };
         let wanted = contents(&run.whole(&format!("whole_{backend}"), ""));
         for signal in ["INT", "TERM"] {
             let out = format!("{backend}_{signal}");
             let path = folder.path().join(&out);
-            let mut child = run
-                .command(&out, "")
-                .stdout(Stdio::null())
-                .stderr(Stdio::null())
-                .spawn()
-                .unwrap();
+            let mut child = run.command(&out, "").stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
             while !path.join("frames/dam_000001.vtp").exists() {
                 std::thread::sleep(Duration::from_millis(2));
             }
             let sent = format!("kill -{signal} {}", child.id());
-            assert!(
-                Command::new("sh")
-                    .args(["-c", &sent])
-                    .status()
-                    .unwrap()
-                    .success()
-            );
+            assert!(Command::new("sh").args(["-c", &sent]).status().unwrap().success());
             assert_eq!(child.wait().unwrap().code(), Some(130));
             let interrupted = progress(&path);
             assert!(interrupted.frames_written.len() < 7, "{interrupted:?}");
@@ -537,14 +451,7 @@ fn interrupted_runs_go_on_to_the_bit() {
 /// In the middle of a frame: the manifest has the sub-steps of the table, and the time of the last.
 #[test]
 fn an_interrupted_run_tells_all_its_sub_steps() {
-    let scene = scene(
-        DAM,
-        &[
-            "domain.cells=[6, 4, 2]",
-            "time.frames_per_second=20",
-            "time.fixed_step=0.0125",
-        ],
-    );
+    let scene = scene(DAM, &["domain.cells=[6, 4, 2]", "time.frames_per_second=20", "time.fixed_step=0.0125"]);
     let folder = tempfile::tempdir().unwrap();
     let options = Options {
         backend: Backend::Cpu,
@@ -563,9 +470,7 @@ fn an_interrupted_run_tells_all_its_sub_steps() {
     let error = sim::run(&scene, &options, &mut listen, &interrupt).unwrap_err();
     assert_eq!(error.exit_code(), 130);
     assert_eq!(told.len(), 7);
-    let [(before, _), (frame, time)] = told[5..] else {
-        panic!("{told:?}")
-    };
+    let [(before, _), (frame, time)] = told[5..] else { panic!("{told:?}") };
     assert_eq!(before, frame, "no frame ends there: {told:?}");
     let progress = progress(&options.out);
     assert_eq!((progress.steps, progress.time), (7, time));
@@ -585,15 +490,9 @@ fn a_run_is_extended() {
     assert_eq!(progress(&part).frames_written, [0, 4, 5]);
     // Nothing is left to do.
     let before = contents(&part);
-    let output = run
-        .command("part", &format!("--frames 5 {every} --resume"))
-        .output()
-        .unwrap();
+    let output = run.command("part", &format!("--frames 5 {every} --resume")).output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
-    assert!(
-        output.status.success() && said.contains("already finished"),
-        "{said}"
-    );
+    assert!(output.status.success() && said.contains("already finished"), "{said}");
     assert_same(&contents(&part), &before);
     // The picture of a frame goes with it, that of another and the animation stay.
     let pictures = part.join("preview");
@@ -608,10 +507,7 @@ fn a_run_is_extended() {
     fs::remove_dir_all(&pictures).unwrap();
     assert_same(&contents(&part), &wanted);
     assert_eq!(progress(&part).frames_written, [0, 4, 8, 10]);
-    let told = complains(
-        run.command("part", &format!("--frames 7 {every} --resume")),
-        2,
-    );
+    let told = complains(run.command("part", &format!("--frames 7 {every} --resume")), 2);
     assert_has(&told, &["10 frames", "--frames"]);
 }
 
@@ -654,27 +550,13 @@ fn what_is_not_the_run_is_not_gone_on_with() {
     refused(&run, "", &["earlier run", "--resume", "--overwrite"]);
     let told = complains(run.command("out", "--resume --overwrite"), 2);
     assert!(told.contains("cannot be used with"), "{told}");
-    refused(
-        &run,
-        "--resume --set liquid.density=900",
-        &["liquid.density is new: 900", "--set"],
-    );
+    refused(&run, "--resume --set liquid.density=900", &["liquid.density is new: 900", "--set"]);
     for (arguments, expected) in [
-        (
-            "run dam.toml --scale 0.5 --adapter software",
-            "--backend cpu",
-        ),
+        ("run dam.toml --scale 0.5 --adapter software", "--backend cpu"),
         ("run dam.toml --backend cpu", "--scale 0.5"),
     ] {
-        let other = Run {
-            folder: folder.path(),
-            arguments,
-        };
-        refused(
-            &other,
-            "--resume",
-            &["checkpoint.npz: the run is", expected],
-        );
+        let other = Run { folder: folder.path(), arguments };
+        refused(&other, "--resume", &["checkpoint.npz: the run is", expected]);
     }
     let file = folder.path().join("dam.toml");
     fs::write(&file, DAM.replace("0.75", "0.7")).unwrap();
@@ -689,11 +571,7 @@ fn what_is_not_the_run_is_not_gone_on_with() {
     let checkpoint = Checkpoint::path(&path);
     let whole = fs::read(&checkpoint).unwrap();
     fs::write(&checkpoint, &whole[..whole.len() / 2]).unwrap();
-    refused(
-        &run,
-        "--resume --frames 4",
-        &["checkpoint.npz: is no intact .npz"],
-    );
+    refused(&run, "--resume --frames 4", &["checkpoint.npz: is no intact .npz"]);
     fs::write(&checkpoint, &whole).unwrap();
     for (table, expected) in [("steps.csv", "shorter"), ("probes.csv", "shorter")] {
         let table = path.join(table);
@@ -727,10 +605,7 @@ fn a_lost_manifest_does_not_lose_the_run() {
             assert_has(&told, &["earlier run", "manifest.json"]);
             // No cure that is refused, too.
             let (_, cure) = told.split_once("cure: ").unwrap();
-            assert!(
-                cure.contains("--resume") && !cure.contains("--overwrite"),
-                "{told}"
-            );
+            assert!(cure.contains("--resume") && !cure.contains("--overwrite"), "{told}");
         }
     }
     run.whole("out", "--resume");
@@ -777,17 +652,11 @@ fn two_processes_do_not_write_into_one_folder() {
 #[test]
 fn a_run_that_fails_keeps_its_last_good_state() {
     let away = "keyframes = [{ t = 0.26 }, { t = 0.3, translate = [0.1, 1e39, 0] }]";
-    let text = DROPS.replace(
-        "keyframes = [{ t = 0.01 }, { t = 0.3, translate = [0.1, 0.07, 0] }]",
-        away,
-    );
+    let text = DROPS.replace("keyframes = [{ t = 0.01 }, { t = 0.3, translate = [0.1, 0.07, 0] }]", away);
     assert!(text.contains(away));
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("dam.toml"), text).unwrap();
-    let run = Run {
-        folder: folder.path(),
-        arguments: "run dam.toml --backend cpu",
-    };
+    let run = Run { folder: folder.path(), arguments: "run dam.toml --backend cpu" };
     let told = complains(run.command("out", ""), 4);
     assert!(told.contains("--resume"), "{told}");
     let path = folder.path().join("out");
@@ -816,10 +685,7 @@ fn a_full_disk_loses_nothing() {
     let length = |name: &str| fs::metadata(whole.join(name)).unwrap().len();
     let frame = length("frames/dam_000006.vtp").max(length("checkpoint.npz"));
     let blocks = frame.div_ceil(1024) + 1;
-    assert!(
-        length("steps.csv") > 1024 * blocks,
-        "nothing fills up: {blocks} kB"
-    );
+    assert!(length("steps.csv") > 1024 * blocks, "nothing fills up: {blocks} kB");
     let limited = |blocks: u64, more: &str| {
         let limited = format!(
             "trap '' XFSZ; ulimit -f {blocks}; exec {} {} {more}",
@@ -831,34 +697,21 @@ fn a_full_disk_loses_nothing() {
         complains(command, 2)
     };
     let told = limited(blocks, "--out out");
-    for part in [
-        "cannot write out/steps.csv",
-        "cure: raise the limit",
-        "--resume",
-    ] {
+    for part in ["cannot write out/steps.csv", "cure: raise the limit", "--resume"] {
         assert!(told.contains(part), "{told}");
     }
     let path = folder.path().join("out");
     let before = progress(&path);
     let state = Checkpoint::read(&path).unwrap().unwrap().state;
-    assert!(
-        state.frame >= 1 && before.frames_written.contains(&state.frame),
-        "{before:?}"
-    );
+    assert!(state.frame >= 1 && before.frames_written.contains(&state.frame), "{before:?}");
     run.whole("out", "--resume");
     assert_same(&contents(&path), &wanted);
     // Only the checkpoint is too large: nothing is left of it.
     let told = limited(24, "--out none --set output.particles=false");
     let lines = told.lines().count();
-    assert!(
-        told.contains("cannot write none/checkpoint.npz") && lines == 3,
-        "{told}"
-    );
+    assert!(told.contains("cannot write none/checkpoint.npz") && lines == 3, "{told}");
     let none = contents(&folder.path().join("none"));
-    assert!(
-        none.keys().all(|name| !name.contains("checkpoint")),
-        "{none:?}"
-    );
+    assert!(none.keys().all(|name| !name.contains("checkpoint")), "{none:?}");
 }
 
 /// Rounding differs between adapters: the run goes on, and both the user and the manifest are told.
@@ -866,25 +719,16 @@ fn a_full_disk_loses_nothing() {
 fn a_run_may_go_on_on_another_adapter() {
     let Some(_) = gpu() else { return };
     let folder = dam();
-    let run = Run {
-        folder: folder.path(),
-        arguments: "run dam.toml --scale 0.5",
-    };
+    let run = Run { folder: folder.path(), arguments: "run dam.toml --scale 0.5" };
     let path = run.whole("out", "--frames 2");
     let mut checkpoint = Checkpoint::read(&path).unwrap().unwrap();
     let adapter = checkpoint.manifest.adapter.as_mut().unwrap();
     let name = std::mem::replace(&mut adapter.name, "Another".to_owned());
     checkpoint.write(&path).unwrap();
     let told = complains(run.command("out", "--frames 4 --resume"), 0);
-    assert!(
-        told.contains("warning: the run began on Another ("),
-        "{told}"
-    );
+    assert!(told.contains("warning: the run began on Another ("), "{told}");
     for frames in ["4", "5"] {
-        complains(
-            run.command("out", &format!("--frames {frames} --resume")),
-            0,
-        );
+        complains(run.command("out", &format!("--frames {frames} --resume")), 0);
         let manifest = Manifest::read(&path).unwrap();
         assert_eq!(manifest.adapter.unwrap().name, name);
         let [earlier] = &manifest.earlier_adapters[..] else {

@@ -34,10 +34,7 @@ pub(crate) fn folder(scene: &str) -> TempDir {
 /// The program in a folder, ready to start; arguments are separated by spaces.
 pub(crate) fn cutwater(folder: &TempDir, arguments: &str) -> Command {
     let mut command = program();
-    command
-        .args(arguments.split_whitespace())
-        .current_dir(folder.path())
-        .stdin(Stdio::null());
+    command.args(arguments.split_whitespace()).current_dir(folder.path()).stdin(Stdio::null());
     command
 }
 
@@ -49,11 +46,7 @@ pub(crate) fn text(bytes: &[u8]) -> String {
 pub(crate) fn ends(mut command: Command, code: i32) -> Output {
     let output = command.output().unwrap();
     let (out, err) = (text(&output.stdout), text(&output.stderr));
-    assert_eq!(
-        output.status.code(),
-        Some(code),
-        "{command:?}\n{out}\n{err}"
-    );
+    assert_eq!(output.status.code(), Some(code), "{command:?}\n{out}\n{err}");
     assert!(!err.contains("panicked"), "{command:?}\n{err}");
     output
 }
@@ -75,9 +68,7 @@ pub(crate) fn manifest(run: &Path) -> Value {
 /// Names of the files in a folder, sorted.
 pub(crate) fn list(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).unwrap();
-    let mut names: Vec<_> = entries
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
+    let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     names
 }
@@ -85,46 +76,23 @@ pub(crate) fn list(folder: &Path) -> Vec<String> {
 /// The columns of a table by their names.
 fn column(table: &Path, name: &str) -> Vec<f64> {
     let mut reader = csv::Reader::from_path(table).unwrap();
-    let index = reader
-        .headers()
-        .unwrap()
-        .iter()
-        .position(|head| head == name);
+    let index = reader.headers().unwrap().iter().position(|head| head == name);
     let index = index.unwrap_or_else(|| panic!("{}: no column {name}", table.display()));
-    reader
-        .records()
-        .map(|row| row.unwrap()[index].parse().unwrap())
-        .collect()
+    reader.records().map(|row| row.unwrap()[index].parse().unwrap()).collect()
 }
 
 #[test]
 fn help_lists_the_commands_of_the_readme() {
     let folder = folder(DAM);
     let help = says(&folder, "--help");
-    let commands = help
-        .split("Commands:")
-        .nth(1)
-        .unwrap()
-        .split("Options:")
-        .next()
-        .unwrap();
-    let readme =
-        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    let commands = help.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
+    let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
     let mut n = 0;
-    for line in commands
-        .lines()
-        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
-    {
+    for line in commands.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   ")) {
         let command = line.split_whitespace().next().unwrap();
         if command != "help" {
-            assert!(
-                readme.contains(&format!("| [`cutwater {command}")),
-                "README.md: no command {command}"
-            );
-            assert!(
-                says(&folder, &format!("{command} --help")).contains("Usage: cutwater"),
-                "{command}"
-            );
+            assert!(readme.contains(&format!("| [`cutwater {command}")), "README.md: no command {command}");
+            assert!(says(&folder, &format!("{command} --help")).contains("Usage: cutwater"), "{command}");
             n += 1;
         }
     }
@@ -132,10 +100,7 @@ fn help_lists_the_commands_of_the_readme() {
     let version = concat!("cutwater ", env!("CARGO_PKG_VERSION"));
     assert_eq!(says(&folder, "-V"), format!("{version}\n"));
     let sources = cutwater::measure::bench::SOURCES;
-    assert_eq!(
-        says(&folder, "--version"),
-        format!("{version} ({sources})\n")
-    );
+    assert_eq!(says(&folder, "--version"), format!("{version} ({sources})\n"));
     assert_eq!(sources.len(), 12, "{sources}");
 }
 
@@ -178,13 +143,7 @@ fn wrong_arguments_are_bad_input() {
         let message = complains(&folder, arguments, 2);
         assert!(message.contains(expected), "{arguments}: {message}");
     }
-    for bench in [
-        "accuracy dam.toml",
-        "solve",
-        "device",
-        "step dam.toml",
-        "thesis",
-    ] {
+    for bench in ["accuracy dam.toml", "solve", "device", "step dam.toml", "thesis"] {
         let message = complains(&folder, &format!("bench {bench} --repeats 0"), 2);
         let told = "invalid value '0' for '--repeats";
         assert!(message.contains(told), "{bench}: {message}");
@@ -205,46 +164,20 @@ fn mesh_names_all_kinds_of_files_that_it_takes() {
 #[test]
 fn a_missing_scene_is_bad_input() {
     let message = complains(&folder(DAM), "run pool.toml", 2);
-    assert!(
-        message.starts_with("error: ")
-            && message.contains("pool.toml")
-            && message.contains("cure: "),
-        "{message}"
-    );
+    assert!(message.starts_with("error: ") && message.contains("pool.toml") && message.contains("cure: "), "{message}");
 }
 
 #[test]
 fn a_broken_scene_is_bad_input_with_file_line_key_and_cure() {
     for (good, broken, line, key, cure) in [
-        (
-            "cells = [24, 16, 8]",
-            "celss = [24, 16, 8]",
-            4,
-            "domain.celss",
-            "cells",
-        ),
-        (
-            "duration = 0.25",
-            "duration = -1",
-            6,
-            "time.duration",
-            "above zero",
-        ),
-        (
-            "axis = \"x\"",
-            "axis = \"w\"",
-            11,
-            "probe[0].front.axis",
-            "\"x\"",
-        ),
+        ("cells = [24, 16, 8]", "celss = [24, 16, 8]", 4, "domain.celss", "cells"),
+        ("duration = 0.25", "duration = -1", 6, "time.duration", "above zero"),
+        ("axis = \"x\"", "axis = \"w\"", 11, "probe[0].front.axis", "\"x\""),
         ("[camera]", "[camera", 12, "", "]"),
     ] {
         let folder = folder(&DAM.replace(good, broken));
         let message = complains(&folder, "run dam.toml", 2);
-        assert!(
-            message.starts_with(&format!("error: dam.toml:{line}: {key}")),
-            "{message}"
-        );
+        assert!(message.starts_with(&format!("error: dam.toml:{line}: {key}")), "{message}");
         assert_has(&message, &["cure: ", cure]);
         assert!(!folder.path().join("out").exists(), "a run was begun");
     }
@@ -257,48 +190,16 @@ fn a_run_writes_what_the_page_says() {
     let folder = folder(DAM);
     let said = says(&folder, "run dam.toml --backend cpu --frames 2 --preview");
     let run = folder.path().join("out/dam");
-    for part in [
-        "frame 1 of 2: ",
-        "frame 2 of 2: ",
-        "frames: ",
-        "3 pictures: ",
-        "animation: ",
-    ] {
+    for part in ["frame 1 of 2: ", "frame 2 of 2: ", "frames: ", "3 pictures: ", "animation: "] {
         assert!(said.contains(part), "{said}");
     }
-    assert_eq!(
-        list(&run),
-        [
-            "checkpoint.npz",
-            "frames",
-            "manifest.json",
-            "preview",
-            "probes.csv",
-            "steps.csv"
-        ]
-    );
-    let frames = [
-        "dam_000000.vtp",
-        "dam_000001.vtp",
-        "dam_000002.vtp",
-        "dam_markers.pvd",
-    ];
+    assert_eq!(list(&run), ["checkpoint.npz", "frames", "manifest.json", "preview", "probes.csv", "steps.csv"]);
+    let frames = ["dam_000000.vtp", "dam_000001.vtp", "dam_000002.vtp", "dam_markers.pvd"];
     assert_eq!(list(&run.join("frames")), frames);
-    assert_eq!(
-        list(&run.join("preview")),
-        [
-            "dam.png",
-            "dam_000000.png",
-            "dam_000001.png",
-            "dam_000002.png"
-        ]
-    );
+    assert_eq!(list(&run.join("preview")), ["dam.png", "dam_000000.png", "dam_000001.png", "dam_000002.png"]);
     let manifest = manifest(&run);
     assert_eq!(manifest["progress"]["status"], "finished");
-    assert_eq!(
-        manifest["progress"]["frames_written"],
-        serde_json::json!([0, 1, 2])
-    );
+    assert_eq!(manifest["progress"]["frames_written"], serde_json::json!([0, 1, 2]));
     assert_eq!(manifest["options"]["backend"], "cpu");
     assert_eq!(manifest["adapter"], Value::Null);
     let times = column(&run.join("steps.csv"), "t");
@@ -308,10 +209,7 @@ fn a_run_writes_what_the_page_says() {
     let numbers = column(&run.join("steps.csv"), "step");
     assert_eq!(column(&run.join("probes.csv"), "step"), numbers);
     let fronts = column(&run.join("probes.csv"), "front");
-    assert!(
-        fronts.iter().all(|front| (0.45..0.75).contains(front)),
-        "{fronts:?}"
-    );
+    assert!(fronts.iter().all(|front| (0.45..0.75).contains(front)), "{fronts:?}");
 }
 
 #[test]
@@ -324,10 +222,7 @@ fn a_scene_is_changed_from_the_command_line() {
     let manifest = manifest(&folder.path().join("a"));
     assert_eq!(manifest["cells"], serde_json::json!([12, 8, 4]));
     assert_eq!(manifest["options"]["scale"], 0.5);
-    assert_eq!(
-        manifest["options"]["overrides"],
-        serde_json::json!(["output.fields=true", "liquid.seed=7"])
-    );
+    assert_eq!(manifest["options"]["overrides"], serde_json::json!(["output.fields=true", "liquid.seed=7"]));
     assert!(folder.path().join("a/frames/dam_000001.vti").exists());
 }
 
@@ -337,26 +232,13 @@ fn an_earlier_run_is_replaced_only_when_asked() {
     let run = folder.path().join("out/dam");
     says(&folder, "run dam.toml --backend cpu --frames 2 --scale 0.5");
     let before = fs::read(run.join("steps.csv")).unwrap();
-    let message = complains(
-        &folder,
-        "run dam.toml --backend cpu --frames 1 --scale 0.5",
-        2,
-    );
+    let message = complains(&folder, "run dam.toml --backend cpu --frames 1 --scale 0.5", 2);
     assert_has(&message, &["--overwrite", "--out"]);
     assert!(!message.contains("partial results"), "{message}");
     assert_eq!(fs::read(run.join("steps.csv")).unwrap(), before);
-    says(
-        &folder,
-        "run dam.toml --backend cpu --frames 1 --scale 0.5 --overwrite",
-    );
-    assert_eq!(
-        list(&run.join("frames")),
-        ["dam_000000.vtp", "dam_000001.vtp", "dam_markers.pvd"]
-    );
-    assert_eq!(
-        manifest(&run)["progress"]["frames_written"],
-        serde_json::json!([0, 1])
-    );
+    says(&folder, "run dam.toml --backend cpu --frames 1 --scale 0.5 --overwrite");
+    assert_eq!(list(&run.join("frames")), ["dam_000000.vtp", "dam_000001.vtp", "dam_markers.pvd"]);
+    assert_eq!(manifest(&run)["progress"]["frames_written"], serde_json::json!([0, 1]));
 }
 
 /// Files of the names that a run has, in a folder that is of no run, are somebody's.
@@ -368,11 +250,7 @@ fn files_of_no_run_are_left_alone() {
         fs::create_dir_all(&out).unwrap();
         fs::write(out.join(name), "mine").unwrap();
         for how in ["", "--overwrite", "--resume"] {
-            let message = complains(
-                &folder,
-                &format!("run dam.toml --backend cpu --frames 1 {how}"),
-                2,
-            );
+            let message = complains(&folder, &format!("run dam.toml --backend cpu --frames 1 {how}"), 2);
             assert_has(&message, &[name, "--out"]);
         }
         assert_eq!(fs::read_to_string(out.join(name)).unwrap(), "mine");
@@ -383,10 +261,7 @@ fn files_of_no_run_are_left_alone() {
 fn numbers_that_cannot_be_are_answered_with_the_cure() {
     let folder = folder(DAM);
     for (arguments, told) in [
-        (
-            "run dam.toml --frames 1000000",
-            "1000000 is not in 0..=999999",
-        ),
+        ("run dam.toml --frames 1000000", "1000000 is not in 0..=999999"),
         ("run dam.toml --frames -1", "invalid value '-1'"),
         ("plan dam.toml --scale -1", "use a number above zero"),
     ] {
@@ -413,19 +288,10 @@ fn runs_and_plans_warn_of_what_they_cannot_do() {
     let piston = "[[obstacle]]\nbox = { min = [0.5, 0.5, 0.1], max = [0.7, 2.0, 0.4] }\n\
                   keyframes = [{ t = 0 }, { t = 1, translate = [0, -0.4, 0] }]\n\
                   [[probe]]\nname = \"blind\"\npressure = { point = [0.6, 0.7, 0.25] }\n";
-    let folder = folder(&format!(
-        "{}{piston}",
-        DAM.replace("max = [0.5, 0.75, 0.5]", "max = [1.5, 1.0, 0.5]")
-    ));
-    let output = ends(
-        cutwater(&folder, "run dam.toml --backend cpu --frames 1"),
-        0,
-    );
+    let folder = folder(&format!("{}{piston}", DAM.replace("max = [0.5, 0.75, 0.5]", "max = [1.5, 1.0, 0.5]")));
+    let output = ends(cutwater(&folder, "run dam.toml --backend cpu --frames 1"), 0);
     let told = text(&output.stderr);
-    for words in [
-        "probe \"blind\" lies in an obstacle",
-        "would have compressed enclosed liquid",
-    ] {
+    for words in ["probe \"blind\" lies in an obstacle", "would have compressed enclosed liquid"] {
         assert!(told.contains(words), "{told}");
     }
     assert!(!told.contains("missed the tolerance"), "{told}");
@@ -442,21 +308,9 @@ fn solids_in_each_other_are_told() {
         )
     };
     let domain = DAM.split("[[liquid.region]]").next().unwrap();
-    for (scene, x, told) in [
-        (DAM, 0.55, true),
-        (DAM, 1.0, false),
-        (domain, 0.55, true),
-        (domain, 1.0, false),
-    ] {
-        let folder = folder(&format!(
-            "{scene}{}{}",
-            solid("one", 0.45),
-            solid("other", x)
-        ));
-        let output = ends(
-            cutwater(&folder, "run dam.toml --backend cpu --frames 1"),
-            0,
-        );
+    for (scene, x, told) in [(DAM, 0.55, true), (DAM, 1.0, false), (domain, 0.55, true), (domain, 1.0, false)] {
+        let folder = folder(&format!("{scene}{}{}", solid("one", 0.45), solid("other", x)));
+        let output = ends(cutwater(&folder, "run dam.toml --backend cpu --frames 1"), 0);
         let warned = text(&output.stderr).contains("with each other or with obstacles");
         assert_eq!(warned, told, "{output:?}");
     }
@@ -490,14 +344,8 @@ fn a_run_on_the_gpu_names_its_adapter() {
     says(&folder, "run dam.toml --frames 1");
     let run = folder.path().join("out/dam");
     assert_eq!(manifest(&run)["adapter"]["name"], gpu.report().name);
-    assert_eq!(
-        column(&run.join("steps.csv"), "t").last(),
-        Some(&(1.0 / 24.0))
-    );
-    for (wanted, told) in [
-        ("nonesuch", "none matches the name \"nonesuch\""),
-        ("97", "none matches index 97"),
-    ] {
+    assert_eq!(column(&run.join("steps.csv"), "t").last(), Some(&(1.0 / 24.0)));
+    for (wanted, told) in [("nonesuch", "none matches the name \"nonesuch\""), ("97", "none matches index 97")] {
         let arguments = format!("run dam.toml --adapter {wanted} --out other");
         let message = complains(&folder, &arguments, 3);
         assert_has(&message, &[told, &gpu.report().name]);
@@ -531,39 +379,19 @@ fn what_no_machine_has_room_for_is_refused_at_once() {
     if gpu().is_some() {
         let done = ends(cutwater(&folder, "plan dam.toml --scale 64"), 3);
         let (said, told) = (text(&done.stdout), text(&done.stderr));
-        assert!(
-            said.contains("TOO SMALL") && !said.contains("the scene fits"),
-            "{said}"
-        );
-        assert!(
-            told.contains("bytes (max_") && told.contains("cure: use fewer cells (--scale)"),
-            "{told}"
-        );
+        assert!(said.contains("TOO SMALL") && !said.contains("the scene fits"), "{said}");
+        assert!(told.contains("bytes (max_") && told.contains("cure: use fewer cells (--scale)"), "{told}");
     }
     let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let kibibytes = |line: &str| {
-        line.strip_prefix("MemTotal:")?
-            .trim()
-            .trim_end_matches(" kB")
-            .parse::<u64>()
-            .ok()
-    };
+    let kibibytes = |line: &str| line.strip_prefix("MemTotal:")?.trim().trim_end_matches(" kB").parse::<u64>().ok();
     let total = memory.lines().find_map(kibibytes);
     if total.is_none_or(|total| total >= 80 << 20) {
         eprintln!("skipped: this machine may have room for 805,306,368 cells");
         return;
     }
     for command in ["run", "plan"] {
-        let message = complains(
-            &folder,
-            &format!("{command} dam.toml --scale 64 --backend cpu"),
-            3,
-        );
-        let parts = [
-            "at least",
-            "GiB of the machine's memory",
-            "cure: use fewer cells (--scale)",
-        ];
+        let message = complains(&folder, &format!("{command} dam.toml --scale 64 --backend cpu"), 3);
+        let parts = ["at least", "GiB of the machine's memory", "cure: use fewer cells (--scale)"];
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
     assert!(!folder.path().join("out").exists());
@@ -577,23 +405,13 @@ fn without_an_adapter_the_cure_is_named() {
     says(&folder, "run dam.toml --backend cpu --frames 1 --scale 0.5");
     let run = folder.path().join("out/dam");
     let frames = list(&run.join("frames"));
-    for arguments in [
-        "adapters",
-        "run dam.toml --out new",
-        "run dam.toml --overwrite",
-        "bench solve --grids 8",
-    ] {
+    for arguments in ["adapters", "run dam.toml --out new", "run dam.toml --overwrite", "bench solve --grids 8"] {
         let mut command = cutwater(&folder, arguments);
-        command
-            .env("VK_DRIVER_FILES", "nowhere.json")
-            .env_remove("VK_ICD_FILENAMES");
+        command.env("VK_DRIVER_FILES", "nowhere.json").env_remove("VK_ICD_FILENAMES");
         let message = text(&ends(command, 3).stderr);
         assert_has(&message, &["mesa-vulkan-drivers", "--backend cpu"]);
     }
-    assert!(
-        !folder.path().join("new/manifest.json").exists(),
-        "a run was begun"
-    );
+    assert!(!folder.path().join("new/manifest.json").exists(), "a run was begun");
     assert_eq!(list(&run.join("frames")), frames, "the earlier run");
 }
 
@@ -613,22 +431,13 @@ fn overwriting_removes_a_run_and_nothing_else() {
     says(&folder, "run dam.toml --backend cpu --frames 3");
     fs::write(run.join("frames/mine.txt"), "mine").unwrap();
     says(&folder, again);
-    assert_eq!(
-        list(&run.join("frames")),
-        [
-            "dam_000000.vtp",
-            "dam_000001.vtp",
-            "dam_markers.pvd",
-            "mine.txt"
-        ]
-    );
+    assert_eq!(list(&run.join("frames")), ["dam_000000.vtp", "dam_000001.vtp", "dam_markers.pvd", "mine.txt"]);
 }
 
 #[test]
 fn a_scene_without_any_liquid_is_refused_and_little_is_told() {
-    let region = |number: usize, max: &str| {
-        format!("[[liquid.region]]\nbox = {{ min = [0.{number}, 0, 0], max = {max} }}\n")
-    };
+    let region =
+        |number: usize, max: &str| format!("[[liquid.region]]\nbox = {{ min = [0.{number}, 0, 0], max = {max} }}\n");
     let head = DAM.split("[[liquid.region]]").next().unwrap();
     let none = folder(&(head.to_string() + &region(0, "[1.5, 0.03, 0.5]")));
     for surface in ["markers", "fixed"] {
@@ -640,19 +449,13 @@ fn a_scene_without_any_liquid_is_refused_and_little_is_told() {
     let plate = "[[obstacle]]\nbox = { min = [1.2, 0, 0], max = [1.22, 1, 0.5] }\n";
     let text = head.to_string() + &region(0, "[0.5, 0.75, 0.5]") + &region(9, "[1.0, 0.03, 0.5]");
     let little = folder(&(text + plate));
-    let done = ends(
-        cutwater(&little, "run dam.toml --backend cpu --frames 1"),
-        0,
-    );
+    let done = ends(cutwater(&little, "run dam.toml --backend cpu --frames 1"), 0);
     let told = String::from_utf8(done.stderr).unwrap();
     assert!(told.contains("liquid.region[1] has no liquid"), "{told}");
     assert!(!told.contains("liquid.region[0]"), "{told}");
     assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
     // Before the first sub-step, and without any.
-    for (arguments, code) in [
-        ("run dam.toml --out other --adapter nonesuch", 3),
-        ("plan dam.toml --backend cpu", 0),
-    ] {
+    for (arguments, code) in [("run dam.toml --out other --adapter nonesuch", 3), ("plan dam.toml --backend cpu", 0)] {
         let told = complains(&little, arguments, code);
         assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
     }
@@ -681,10 +484,7 @@ fn a_folder_that_cannot_be_written_is_told() {
     let told = complains(&folder, "run dam.toml --backend cpu --out dam.toml", 2);
     let parts = ["cannot write dam.toml", "cure: choose a writable folder"];
     assert!(parts.iter().all(|part| told.contains(part)), "{told}");
-    assert_eq!(
-        fs::read_to_string(folder.path().join("dam.toml")).unwrap(),
-        DAM
-    );
+    assert_eq!(fs::read_to_string(folder.path().join("dam.toml")).unwrap(), DAM);
 }
 
 #[test]
@@ -692,10 +492,7 @@ fn what_is_too_thin_for_the_cells_is_told_in_the_words_of_the_scene() {
     let told = |scene: &str| complains(&folder(scene), "plan dam.toml --backend cpu", 0);
     let solids = told(BEAM);
     assert!(solids.contains("obstacle[0] is 0.32 cells thick: solids pass"));
-    assert!(
-        !solids.contains("liquid") && !solids.contains("beam"),
-        "{solids}"
-    );
+    assert!(!solids.contains("liquid") && !solids.contains("beam"), "{solids}");
     let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
     let both = told(&(BEAM.to_owned() + region));
     assert_has(&both, &["0.32 cells thick: liquid leaks and solids pass"]);
@@ -713,17 +510,12 @@ fn pictures_without_frames_are_refused_before_the_run() {
     let beam = folder(BEAM);
     without(&beam, "--set output.solids=false", "output.solids");
     let dam = folder(DAM);
-    without(
-        &dam,
-        "--set output.particles=false",
-        "output.particles, output.fields or",
-    );
+    without(&dam, "--set output.particles=false", "output.particles, output.fields or");
     let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
     let both = folder(&(BEAM.to_owned() + region));
     for (off, missing) in [("solids", "solids"), ("particles", "liquid")] {
         // An adapter that is not there ends the run before it begins.
-        let arguments =
-            format!("run dam.toml --preview --adapter nonesuch --set output.{off}=false");
+        let arguments = format!("run dam.toml --preview --adapter nonesuch --set output.{off}=false");
         let told = text(&cutwater(&both, &arguments).output().unwrap().stderr);
         let expected = format!("the pictures lack the {missing}: turn output.{off}");
         assert!(told.contains(&expected), "{told}");
@@ -735,14 +527,8 @@ fn a_fixed_step_too_long_is_told() {
     let folder = folder(DAM);
     let fast = "run dam.toml --backend cpu --frames 1 --set liquid.region[0].velocity=[12,0,0] --set time.fixed_step=0.041666666666666664";
     let told = String::from_utf8(ends(cutwater(&folder, fast), 0).stderr).unwrap();
-    assert_has(
-        &told,
-        &["in 1 of 1 sub-steps the fastest point crossed more than 3 cells"],
-    );
-    assert_eq!(
-        column(&folder.path().join("out/dam/steps.csv"), "dt_floored"),
-        [1.0]
-    );
+    assert_has(&told, &["in 1 of 1 sub-steps the fastest point crossed more than 3 cells"]);
+    assert_eq!(column(&folder.path().join("out/dam/steps.csv"), "dt_floored"), [1.0]);
 }
 
 /// As before a `head -1`: who reads has enough after a line, the run goes on.
@@ -751,11 +537,8 @@ fn a_reader_that_leaves_does_not_end_a_run() {
     use std::io::{BufRead, BufReader};
 
     let folder = folder(DAM);
-    let mut child = cutwater(&folder, "run dam.toml --backend cpu")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut child =
+        cutwater(&folder, "run dam.toml --backend cpu").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut line = String::new();
     let mut reader = BufReader::new(child.stdout.take().unwrap());
     reader.read_line(&mut line).unwrap();
@@ -771,19 +554,12 @@ fn a_reader_that_leaves_does_not_end_a_run() {
 #[test]
 fn lines_without_room_are_told_at_the_end() {
     let folder = folder(DAM);
-    for arguments in [
-        "schema",
-        "plan dam.toml --backend cpu",
-        "run dam.toml --backend cpu --frames 2 --scale 0.5",
-    ] {
+    for arguments in ["schema", "plan dam.toml --backend cpu", "run dam.toml --backend cpu --frames 2 --scale 0.5"] {
         let full = fs::File::options().write(true).open("/dev/full").unwrap();
         let mut command = cutwater(&folder, arguments);
         command.stdout(full);
         let message = text(&ends(command, 2).stderr);
-        assert_has(
-            &message,
-            &["error: cannot write standard output: ", "cure: "],
-        );
+        assert_has(&message, &["error: cannot write standard output: ", "cure: "]);
     }
     let manifest = manifest(&folder.path().join("out/dam"));
     assert_eq!(manifest["progress"]["status"], "finished");
@@ -795,24 +571,18 @@ fn an_interrupted_run_keeps_what_it_has() {
     use std::time::{Duration, Instant};
 
     let folder = folder(DAM);
-    let mut child = cutwater(
-        &folder,
-        "run dam.toml --backend cpu --set time.duration=1000",
-    )
-    .stdout(Stdio::null())
-    .stderr(Stdio::null())
-    .spawn()
-    .unwrap();
+    let mut child = cutwater(&folder, "run dam.toml --backend cpu --set time.duration=1000")
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
     let run = folder.path().join("out/dam");
     let clock = Instant::now();
     let limit = Duration::from_secs(60);
     while !run.join("frames/dam_000001.vtp").exists() && clock.elapsed() < limit {
         std::thread::sleep(Duration::from_millis(20));
     }
-    let signal = Command::new("sh")
-        .args(["-c", &format!("kill -INT {}", child.id())])
-        .status()
-        .unwrap();
+    let signal = Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().unwrap();
     assert!(signal.success(), "the run has ended by itself");
     let ended = loop {
         match child.try_wait().unwrap() {
@@ -827,10 +597,7 @@ fn an_interrupted_run_keeps_what_it_has() {
     assert_eq!(ended.code(), Some(130));
     let manifest = manifest(&run);
     assert_eq!(manifest["progress"]["status"], "interrupted");
-    let written = manifest["progress"]["frames_written"]
-        .as_array()
-        .unwrap()
-        .len();
+    let written = manifest["progress"]["frames_written"].as_array().unwrap().len();
     assert!(written >= 2, "{manifest}");
     // Frame files and the series; every sub-step that was done has its row.
     assert_eq!(list(&run.join("frames")).len(), written + 1);
@@ -851,16 +618,10 @@ fn signals_ignored_at_the_start_stay_ignored() {
 
     const LONG: &str = "dam.toml --backend cpu --set time.duration=1000";
     let run = (format!("run {LONG}"), "out/dam");
-    let sweep = (
-        format!("sweep {LONG} --set time.cfl=1"),
-        "out/dam_sweep/duration=1000_cfl=1",
-    );
-    for (ignored, (arguments, run)) in [
-        (Signal::SIGHUP, &run),
-        (Signal::SIGINT, &run),
-        (Signal::SIGHUP, &sweep),
-        (Signal::SIGINT, &sweep),
-    ] {
+    let sweep = (format!("sweep {LONG} --set time.cfl=1"), "out/dam_sweep/duration=1000_cfl=1");
+    for (ignored, (arguments, run)) in
+        [(Signal::SIGHUP, &run), (Signal::SIGINT, &run), (Signal::SIGHUP, &sweep), (Signal::SIGINT, &sweep)]
+    {
         let case = format!("{ignored}, {arguments}");
         let folder = folder(DAM);
         let mut child = Command::new("sh")
@@ -908,10 +669,7 @@ fn a_file_size_limit_is_told() {
         .args(["run", "dam.toml", "--backend", "cpu"])
         .current_dir(folder.path());
     let message = text(&ends(command, 2).stderr);
-    assert_has(
-        &message,
-        &["error: cannot write out/dam/", "ulimit -f unlimited"],
-    );
+    assert_has(&message, &["error: cannot write out/dam/", "ulimit -f unlimited"]);
 }
 
 /// Names with any character and of any length: either all files are well-formed and the series names what is there, or the name is
@@ -940,25 +698,16 @@ fn names_of_scenes_make_whole_files_or_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let file = format!("./{name}.toml");
         fs::write(folder.path().join(&file), &moving).unwrap();
-        let mut command = cutwater(
-            &folder,
-            "run --backend cpu --scale 0.5 --frames 1 --preview",
-        );
+        let mut command = cutwater(&folder, "run --backend cpu --scale 0.5 --frames 1 --preview");
         command.arg(&file);
         ends(command, 0);
         let frames = folder.path().join("out").join(name).join("frames");
         for kind in ["markers", "obstacles"] {
             let series = fs::read_to_string(frames.join(format!("{name}_{kind}.pvd"))).unwrap();
             let series = roxmltree::Document::parse(&series).unwrap();
-            let named: Vec<&str> = series
-                .descendants()
-                .filter_map(|node| node.attribute("file"))
-                .collect();
+            let named: Vec<&str> = series.descendants().filter_map(|node| node.attribute("file")).collect();
             assert_eq!(named.len(), 2, "{name}");
-            assert!(
-                named.iter().all(|file| frames.join(file).is_file()),
-                "{named:?}"
-            );
+            assert!(named.iter().all(|file| frames.join(file).is_file()), "{named:?}");
         }
     }
     for (name, cure) in [
@@ -982,14 +731,7 @@ fn names_of_scenes_make_whole_files_or_are_refused() {
     }
     // A folder of the user's.
     let folder = folder(DAM);
-    let message = complains(
-        &folder,
-        &format!(
-            "run dam.toml --backend cpu --frames 0 --out {}",
-            "y".repeat(256)
-        ),
-        2,
-    );
+    let message = complains(&folder, &format!("run dam.toml --backend cpu --frames 0 --out {}", "y".repeat(256)), 2);
     assert!(message.contains("too long"), "{message}");
 }
 

@@ -60,8 +60,7 @@ fn count_skipped(caller: &Location) {
 
 /// The folder with `scenes` and `tests/data`: the repository, or the one in `CUTWATER_ROOT` where this binary was moved to another machine.
 pub(crate) fn root() -> PathBuf {
-    std::env::var_os("CUTWATER_ROOT")
-        .map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from)
+    std::env::var_os("CUTWATER_ROOT").map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from)
 }
 
 /// The program, with the default action of signals: tests may run under nohup or in the background of a script, where some are ignored, and
@@ -105,10 +104,7 @@ pub(crate) fn on_gpu(scene: &Scene) -> Simulation {
 /// What active cells cover, seen from above, m^2: of a pool, its surface.
 pub(crate) fn area_from_above(grid: &Grid, active: &[bool]) -> f64 {
     let cells = (0..grid.n_cells()).filter(|&cell| active[cell]);
-    let columns: BTreeSet<[usize; 2]> = cells
-        .map(|cell| grid.cell_at(cell))
-        .map(|[i, _, k]| [i, k])
-        .collect();
+    let columns: BTreeSet<[usize; 2]> = cells.map(|cell| grid.cell_at(cell)).map(|[i, _, k]| [i, k]).collect();
     columns.len() as f64 * grid.dx.powi(2)
 }
 
@@ -119,10 +115,7 @@ pub(crate) fn far_below(grid: &Grid) -> Vec<f64> {
 
 /// A surface with the default radius of markers.
 pub(crate) fn surface<'a>(grid: &Grid, distance: &'a [f64]) -> Surface<'a> {
-    Surface {
-        distance,
-        radius: 0.87 * grid.dx,
-    }
+    Surface { distance, radius: 0.87 * grid.dx }
 }
 
 /// SplitMix64 (Steele, Lea and Flood 2014): repeatable random numbers.
@@ -153,10 +146,8 @@ pub(crate) fn same_with_any_number_of_threads(test: &str, n: usize) {
             .output()
             .unwrap();
         let text = String::from_utf8(output.stdout).unwrap();
-        let digests: Vec<String> = text
-            .lines()
-            .filter_map(|line| line.find("digest of ").map(|at| line[at..].to_owned()))
-            .collect();
+        let digests: Vec<String> =
+            text.lines().filter_map(|line| line.find("digest of ").map(|at| line[at..].to_owned())).collect();
         assert_eq!(digests.len(), n, "{threads} threads: {text}");
         digests
     });
@@ -166,9 +157,7 @@ pub(crate) fn same_with_any_number_of_threads(test: &str, n: usize) {
 
 /// A number that any bit of the values changes.
 pub(crate) fn digest(values: impl IntoIterator<Item = f64>) -> u64 {
-    values
-        .into_iter()
-        .fold(0, |digest, value| Random(digest ^ value.to_bits()).bits())
+    values.into_iter().fold(0, |digest, value| Random(digest ^ value.to_bits()).bits())
 }
 
 /// A JSON text that the program wrote, in which no object has a key twice.
@@ -243,10 +232,7 @@ impl<'de> Visitor<'de> for UniqueKeys {
 fn json_with_a_key_twice_is_refused() {
     let text = r#"{"a": [1, -2, 0.5, null, true, "x"], "b": {"a": {}}}"#;
     assert_eq!(json(text), serde_json::from_str::<Value>(text).unwrap());
-    for twice in [
-        r#"{"a": 1, "a": 1}"#,
-        r#"[{"b": {"a": 1, "c": 2, "a": []}}]"#,
-    ] {
+    for twice in [r#"{"a": 1, "a": 1}"#, r#"[{"b": {"a": 1, "c": 2, "a": []}}]"#] {
         let error = serde_json::from_str::<Unique>(twice).err().unwrap();
         assert!(error.to_string().contains("`a` comes twice"), "{error}");
     }

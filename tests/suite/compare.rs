@@ -16,10 +16,7 @@ fn breaches(comparison: &Comparison) -> String {
     rows.map(|row| {
         let [excused, of] = [row.excused, row.count];
         let what = [row.stage, row.quantity].join(" ");
-        format!(
-            "{what}: {:?}, {excused} excused, {of} compared\n",
-            row.worst
-        )
+        format!("{what}: {:?}, {excused} excused, {of} compared\n", row.worst)
     })
     .collect()
 }
@@ -33,10 +30,7 @@ fn assert_passes(scene: &Scene, frames: u64) {
     assert!(comparison.steps >= frames, "{}", scene.name);
     for row in comparison.rows.iter().filter(|row| row.excused > 0) {
         let (name, share) = (&scene.name, row.excused as f64 / row.count as f64);
-        println!(
-            "{name}: {share:.1e} of {} of {} excused: {} of {}",
-            row.quantity, row.stage, row.excused, row.count
-        );
+        println!("{name}: {share:.1e} of {} of {} excused: {} of {}", row.quantity, row.stage, row.excused, row.count);
     }
 }
 
@@ -53,10 +47,7 @@ fn small_scenes_pass() {
     ];
     for (scene, frames) in [
         (scene("dam_break_liquid", 0.25, &[]), 2),
-        (
-            scene("dam_break_liquid", 0.25, &["liquid.surface=level"]),
-            2,
-        ),
+        (scene("dam_break_liquid", 0.25, &["liquid.surface=level"]), 2),
         (scene("draining_tank", 0.25, &["liquid.surface=level"]), 2),
         (scene("fountain", 0.25, &["liquid.surface=level"]), 2),
         (scene("draining_tank", 0.25, &[]), 2),
@@ -106,9 +97,7 @@ fn first(flags: &[bool]) -> usize {
 
 /// Where a field is largest.
 fn largest(field: &[f64]) -> usize {
-    (0..field.len())
-        .max_by(|&a, &b| field[a].total_cmp(&field[b]))
-        .unwrap()
+    (0..field.len()).max_by(|&a, &b| field[a].total_cmp(&field[b])).unwrap()
 }
 
 /// Changes a little of what a stage left; returns the quantities that are wrong then.
@@ -174,32 +163,17 @@ fn spoil(stage: &str, s: &mut Snapshot) -> &'static [&'static str] {
 fn what_is_off_is_found_and_nothing_else() {
     let Some(_) = gpu() else { return };
     // One sub-step.
-    let scene = scene(
-        "sphere_half_full",
-        0.5,
-        &["time.fixed_step=0.041666666666666664"],
-    );
+    let scene = scene("sphere_half_full", 0.5, &["time.fixed_step=0.041666666666666664"]);
     let mut spoilt = Vec::new();
     let mut listen = |stage: Stage, snapshot: &mut Snapshot| {
         let stage = stage.name();
-        spoilt.extend(
-            spoil(stage, snapshot)
-                .iter()
-                .map(|&quantity| (stage, quantity)),
-        );
+        spoilt.extend(spoil(stage, snapshot).iter().map(|&quantity| (stage, quantity)));
     };
     let comparison = compare(&scene, 1, &AdapterChoice::Best, &mut listen).unwrap();
     assert_eq!(spoilt.len(), 19);
     for row in &comparison.rows {
         let expected = spoilt.contains(&(row.stage, row.quantity));
-        assert_eq!(
-            row.breached(),
-            expected,
-            "{} {}: {:?}",
-            row.stage,
-            row.quantity,
-            row.worst
-        );
+        assert_eq!(row.breached(), expected, "{} {}: {:?}", row.stage, row.quantity, row.worst);
     }
     let verdict = comparison.verdict();
     assert!(matches!(verdict, Err(Error::Check(_))), "{verdict:?}");

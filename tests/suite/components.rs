@@ -28,11 +28,7 @@ fn flood(active: &ActiveCells) -> BTreeMap<usize, usize> {
             }
             roots.insert(cell, seed);
             front.extend(
-                stencil
-                    .neighbours(cell)
-                    .iter()
-                    .filter(|(_, weight)| *weight > 0.0)
-                    .map(|(neighbour, _)| neighbour),
+                stencil.neighbours(cell).iter().filter(|(_, weight)| *weight > 0.0).map(|(neighbour, _)| neighbour),
             );
         }
     }
@@ -56,10 +52,7 @@ pub(crate) fn assert_labels(device: &Device, name: &str, case: &Case, active: &A
     let flags = gpu.download(&device.buffers.flags).unwrap();
     let of = |components: &[Vec<usize>]| {
         let mut found = vec![false; grid.n_cells()];
-        components
-            .iter()
-            .flatten()
-            .for_each(|&cell| found[cell] = true);
+        components.iter().flatten().for_each(|&cell| found[cell] = true);
         found
     };
     let (closed, sealed) = (of(&active.closed), of(&active.sealed));
@@ -92,23 +85,11 @@ pub(crate) fn assert_labels(device: &Device, name: &str, case: &Case, active: &A
             _ => root | OPEN,
         };
         let label = labels[padded.index(grid.cell_at(cell))];
-        assert_eq!(
-            label,
-            expected,
-            "{name}: label of cell {:?}",
-            grid.cell_at(cell)
-        );
+        assert_eq!(label, expected, "{name}: label of cell {:?}", grid.cell_at(cell));
     }
 }
 
-const ODD_CELLS: [[usize; 3]; 6] = [
-    [16, 16, 16],
-    [13, 7, 9],
-    [3, 50, 7],
-    [33, 6, 5],
-    [1, 1, 40],
-    [5, 3, 2],
-];
+const ODD_CELLS: [[usize; 3]; 6] = [[16, 16, 16], [13, 7, 9], [3, 50, 7], [33, 6, 5], [1, 1, 40], [5, 3, 2]];
 
 /// Faces are closed with this probability, cells are air with that one: from isolated droplets through clusters at the
 /// percolation threshold, with paths as tangled as they come, to one pool with holes.
@@ -118,13 +99,7 @@ fn random_patterns_have_the_components_of_the_flood_fill() {
     let mut closed = 0;
     for (seed, cells) in ODD_CELLS.into_iter().enumerate() {
         let mut device = Device::new(gpu, cells, &Solver::default());
-        for (blocked, air) in [
-            (0.0, 0.8),
-            (0.75, 0.0),
-            (0.75, 0.01),
-            (0.6, 0.001),
-            (0.3, 0.3),
-        ] {
+        for (blocked, air) in [(0.0, 0.8), (0.75, 0.0), (0.75, 0.01), (0.6, 0.001), (0.3, 0.3)] {
             let random = |salt: u64, at: [usize; 3]| {
                 let [i, j, k] = at.map(|n| n as u64);
                 let mut random = Random(seed as u64 + 7 * (salt + 4 * (i + 100 * (j + 100 * k))));
@@ -139,10 +114,7 @@ fn random_patterns_have_the_components_of_the_flood_fill() {
             closed += case.twin().closed.len();
         }
     }
-    assert!(
-        closed > 500,
-        "the patterns have closed components: {closed}"
-    );
+    assert!(closed > 500, "the patterns have closed components: {closed}");
 }
 
 /// A wall between `low` and `high` (cells) and the rest.
@@ -165,11 +137,7 @@ fn winding_channel(cells: [usize; 3], liquid: impl Fn([usize; 3]) -> bool) -> Ca
     let [nx, ny, _] = cells;
     Case::new(cells, liquid).narrow(move |axis, [i, j, k]| {
         let forwards = |n: usize, end: usize, length: usize| {
-            if end.is_multiple_of(2) {
-                n == length - 1
-            } else {
-                n == 0
-            }
+            if end.is_multiple_of(2) { n == length - 1 } else { n == 0 }
         };
         let open = match axis {
             Axis::X => true,
@@ -192,36 +160,22 @@ fn named_patterns_have_the_components_of_the_flood_fill() {
     let cases = [
         ("nothing", Case::new(cells, |_| false), 0),
         ("closed tank", Case::new(cells, full), 1),
-        (
-            "closed tank of whole tiles",
-            Case::new([32, 16, 8], full),
-            1,
-        ),
-        (
-            "tank with an air cell",
-            Case::new(cells, |at| at != [4, 5, 6]),
-            0,
-        ),
+        ("closed tank of whole tiles", Case::new([32, 16, 8], full), 1),
+        ("tank with an air cell", Case::new(cells, |at| at != [4, 5, 6]), 0),
         ("one liquid cell", Case::new(cells, |at| at == [4, 5, 6]), 0),
         ("a grid of one cell", Case::new([1, 1, 1], full), 0),
         ("a grid of two cells", Case::new([1, 2, 1], full), 1),
         ("pocket in a pool", pocket_in_a_pool(), 1),
         (
             "dominoes",
-            Case::new([10, 10, 10], full).narrow(|axis, [_, j, _]| {
-                if axis == Axis::Y && j % 2 == 1 {
-                    1.0
-                } else {
-                    0.0
-                }
-            }),
+            Case::new([10, 10, 10], full).narrow(
+                |axis, [_, j, _]| {
+                    if axis == Axis::Y && j % 2 == 1 { 1.0 } else { 0.0 }
+                },
+            ),
             500,
         ),
-        (
-            "slabs",
-            Case::new([10, 9, 8], full).narrow(|axis, _| if axis == Axis::Z { 0.0 } else { 1.0 }),
-            8,
-        ),
+        ("slabs", Case::new([10, 9, 8], full).narrow(|axis, _| if axis == Axis::Z { 0.0 } else { 1.0 }), 8),
         (
             "checkerboard of columns, half of them open",
             Case::new([12, 12, 9], |[i, j, k]| k < 8 || (i + j) % 2 == 0)
@@ -229,11 +183,7 @@ fn named_patterns_have_the_components_of_the_flood_fill() {
             72,
         ),
         ("winding channel", winding_channel([8, 7, 6], full), 1),
-        (
-            "winding channel, open at its end",
-            winding_channel([8, 7, 6], |at| at != [0, 0, 5]),
-            0,
-        ),
+        ("winding channel, open at its end", winding_channel([8, 7, 6], |at| at != [0, 0, 5]), 0),
     ];
     for (name, case, closed) in cases {
         let mut device = Device::new(gpu, case.grid.cells, &Solver::default());
@@ -247,9 +197,7 @@ fn wild(case: Case) -> Case {
     let mut random = Random(5);
     let mut case = case;
     for b in &mut case.rhs {
-        *b = f64::from(
-            (0.3 + random.uniform(-1.0, 1.0) * 10_f64.powf(random.uniform(-12.0, 6.0))) as f32,
-        );
+        *b = f64::from((0.3 + random.uniform(-1.0, 1.0) * 10_f64.powf(random.uniform(-12.0, 6.0))) as f32);
     }
     case
 }
@@ -257,25 +205,16 @@ fn wild(case: Case) -> Case {
 #[test]
 fn means_of_closed_components_are_taken_out_exactly() {
     let Some(gpu) = gpu() else { return };
-    let dominoes = Case::new([10, 10, 10], |_| true).narrow(|axis, [_, j, _]| {
-        if axis == Axis::Y && j % 2 == 1 {
-            1.0
-        } else {
-            0.0
-        }
-    });
+    let dominoes = Case::new([10, 10, 10], |_| true).narrow(
+        |axis, [_, j, _]| {
+            if axis == Axis::Y && j % 2 == 1 { 1.0 } else { 0.0 }
+        },
+    );
     let tank = Case::new([19, 18, 17], |_| true);
-    for (name, case) in [
-        ("tank", tank),
-        ("dominoes", dominoes),
-        ("pocket", pocket_in_a_pool()),
-    ] {
+    for (name, case) in [("tank", tank), ("dominoes", dominoes), ("pocket", pocket_in_a_pool())] {
         let case = wild(case);
         for precision in [Precision::F32, Precision::Mixed] {
-            let solver = Solver {
-                precision,
-                ..Solver::default()
-            };
+            let solver = Solver { precision, ..Solver::default() };
             let device = Device::holding(gpu, &case, &solver);
             device.prepare().submit();
             let found = device.cells(&device.buffers.rhs);
@@ -283,8 +222,7 @@ fn means_of_closed_components_are_taken_out_exactly() {
             let mut means = vec![0.0; expected.len()];
             let closed = case.twin().closed;
             for component in &closed {
-                let mean = component.iter().map(|&cell| case.rhs[cell]).sum::<f64>()
-                    / component.len() as f64;
+                let mean = component.iter().map(|&cell| case.rhs[cell]).sum::<f64>() / component.len() as f64;
                 for &cell in component {
                     expected[cell] -= mean;
                     means[cell] = mean;
@@ -298,8 +236,7 @@ fn means_of_closed_components_are_taken_out_exactly() {
                 let scale = largest(component.iter().map(|&cell| case.rhs[cell]));
                 for &cell in component {
                     // Rounding of the mean, and what is set to zero for it; the twin's own sum rounds once per cell.
-                    let bound =
-                        epsilon * (expected[cell].abs() + 3.0 * means[cell].abs()) + 1e-13 * scale;
+                    let bound = epsilon * (expected[cell].abs() + 3.0 * means[cell].abs()) + 1e-13 * scale;
                     assert!(
                         (found[cell] - expected[cell]).abs() <= bound,
                         "{name} {precision:?} cell {cell}: {:e}, not {:e}",
@@ -356,32 +293,15 @@ fn closed_components_are_solved_to_the_tolerance_with_mean_zero() {
         let device = Device::holding(gpu, &case, &Solver::default());
         let solved = device.solve();
         let outcome = solved.outcome;
-        assert_eq!(
-            outcome.status,
-            SolveStatus::Converged,
-            "{name}: {outcome:?}"
-        );
-        assert!(
-            outcome.verified && outcome.residual <= 1e-8 && outcome.iterations <= most,
-            "{name}: {outcome:?}"
-        );
+        assert_eq!(outcome.status, SolveStatus::Converged, "{name}: {outcome:?}");
+        assert!(outcome.verified && outcome.residual <= 1e-8 && outcome.iterations <= most, "{name}: {outcome:?}");
         let system = case.twin_system();
-        assert_eq!(
-            outcome.closed_components as usize,
-            system.closed.len(),
-            "{name}"
-        );
-        let exact = Solver {
-            tolerance: 1e-12,
-            ..Solver::default()
-        };
+        assert_eq!(outcome.closed_components as usize, system.closed.len(), "{name}");
+        let exact = Solver { tolerance: 1e-12, ..Solver::default() };
         let (direct, _) = solve_direct(&system, &exact).unwrap();
         let scale = largest(direct.iter().copied());
         let difference = largest(direct.iter().zip(&solved.potential).map(|(p, x)| p - x));
-        assert!(
-            difference <= 1e-5 * scale,
-            "{name}: {difference:e} of {scale:e}"
-        );
+        assert!(difference <= 1e-5 * scale, "{name}: {difference:e} of {scale:e}");
         let repeated = device.solve();
         assert_eq!(repeated.potential, solved.potential, "{name}: bit for bit");
         assert_eq!(repeated.outcome.iterations, outcome.iterations, "{name}");

@@ -44,12 +44,7 @@ fn simulation(overrides: &[&str]) -> Simulation {
 }
 
 fn keyframe(time: f64, y: f64) -> Keyframe {
-    Keyframe {
-        time,
-        translate: DVec3::new(0.0, y, 0.0),
-        axis: DVec3::Y,
-        angle: 0.0,
-    }
+    Keyframe { time, translate: DVec3::new(0.0, y, 0.0), axis: DVec3::Y, angle: 0.0 }
 }
 
 /// Keyframes that are set before the first sub-step are those of the scene: the same bits.
@@ -109,27 +104,13 @@ fn what_cannot_change_is_refused() {
         assert!(error.contains(part) && error.contains("cure: "), "{error}");
     };
     let time = simulation.clock().time;
-    refused(
-        simulation.set_motion(1, vec![keyframe(0.0, 0.0)]),
-        "no such obstacle",
-    );
+    refused(simulation.set_motion(1, vec![keyframe(0.0, 0.0)]), "no such obstacle");
     refused(simulation.set_motion(0, Vec::new()), "keyframes are none");
-    refused(
-        simulation.set_motion(0, vec![keyframe(time, 0.1)]),
-        "away from the old one",
-    );
+    refused(simulation.set_motion(0, vec![keyframe(time, 0.1)]), "away from the old one");
     let unordered = vec![keyframe(1.0, 0.0), keyframe(time, 0.4 * time)];
     refused(simulation.set_motion(0, unordered), "do not ascend");
-    refused(
-        simulation.set_script(0, 0, vec![keyframe(0.0, 0.0)]),
-        "no such script",
-    );
+    refused(simulation.set_script(0, 0, vec![keyframe(0.0, 0.0)]), "no such script");
     refused(simulation.set_gravity(DVec3::NAN), "gravity");
-    refused(
-        simulation.set_velocity(Some(Default::default()), None),
-        "there are 0",
-    );
-    simulation
-        .set_motion(0, vec![keyframe(time, 0.4 * time)])
-        .unwrap();
+    refused(simulation.set_velocity(Some(Default::default()), None), "there are 0");
+    simulation.set_motion(0, vec![keyframe(time, 0.4 * time)]).unwrap();
 }

@@ -35,40 +35,22 @@ fn a_study_has_tables_and_a_chart() {
     let folder = folder(BAR);
     let command = "converge dam.toml --backend cpu --scales 2,0.5,1 --steps --elements";
     let said = says(&folder, command);
-    for part in [
-        "probe",
-        "quantity",
-        "order",
-        "verdict",
-        "tip_y",
-        "hold_y",
-        "scale=0.5",
-    ] {
+    for part in ["probe", "quantity", "order", "verdict", "tip_y", "hold_y", "scale=0.5"] {
         assert!(said.contains(part), "{part}: {said}");
     }
     let out = folder.path().join("out/dam_converge");
     let names = list(&out);
-    for name in [
-        "convergence.csv",
-        "convergence.json",
-        "convergence.svg",
-        "summary.csv",
-        "scale=0.5",
-        "scale=1",
-        "scale=2",
-    ] {
+    for name in
+        ["convergence.csv", "convergence.json", "convergence.svg", "summary.csv", "scale=0.5", "scale=1", "scale=2"]
+    {
         assert!(names.iter().any(|there| there == name), "{name}: {names:?}");
     }
     let study = json(fs::read(out.join("convergence.json")).unwrap());
     // Cells and steps shrink with the scale: 4 sub-steps at scale 1.
     assert_eq!(study["scales"], serde_json::json!([0.5, 1.0, 2.0]));
-    assert_eq!(
-        study["cell_sizes"],
-        serde_json::json!([0.25, 0.125, 0.0625])
-    );
+    assert_eq!(study["cell_sizes"], serde_json::json!([0.25, 0.125, 0.0625]));
     assert_eq!(study["sub_steps"], serde_json::json!([2, 4, 8]));
-    let overrides =
-        &json(fs::read(out.join("scale=2/manifest.json")).unwrap())["options"]["overrides"];
+    let overrides = &json(fs::read(out.join("scale=2/manifest.json")).unwrap())["options"]["overrides"];
     let overrides = overrides.to_string();
     for part in ["time.fixed_step=0.0125", ".mesh.box.cells=[4, 8, 4]"] {
         assert!(overrides.contains(part), "{overrides}");
@@ -78,18 +60,8 @@ fn a_study_has_tables_and_a_chart() {
     assert_eq!(quantities.len(), 6 * 4);
     let mut table = csv::Reader::from_path(out.join("convergence.csv")).unwrap();
     let heads: Vec<String> = table.headers().unwrap().iter().map(str::to_owned).collect();
-    let expected = [
-        "probe",
-        "unit",
-        "quantity",
-        "scale=0.5",
-        "scale=1",
-        "scale=2",
-        "order",
-        "estimate",
-        "error",
-        "verdict",
-    ];
+    let expected =
+        ["probe", "unit", "quantity", "scale=0.5", "scale=1", "scale=2", "order", "estimate", "error", "verdict"];
     assert_eq!(heads, expected);
     let rows: Vec<csv::StringRecord> = table.records().map(Result::unwrap).collect();
     assert_eq!(rows.len(), quantities.len());
@@ -106,9 +78,7 @@ fn a_study_has_tables_and_a_chart() {
         }
     }
     let chart = fs::read_to_string(out.join("convergence.svg")).unwrap();
-    assert!(
-        chart.contains("tip_y, m") && chart.contains("hold_y, N") && chart.contains("cell size")
-    );
+    assert!(chart.contains("tip_y, m") && chart.contains("hold_y, N") && chart.contains("cell size"));
     // Again, nothing is left to run.
     let again = says(&folder, command);
     assert_eq!(again.matches("from an earlier sweep").count(), 3, "{again}");
@@ -118,35 +88,16 @@ fn a_study_has_tables_and_a_chart() {
 fn studies_that_cannot_be_are_refused() {
     let bar = folder(BAR);
     let dam = folder(DAM);
-    let blind = folder(&DAM.replace(
-        "[[probe]]\nname = \"front\"\nfront = { axis = \"x\" }\n",
-        "",
-    ));
+    let blind = folder(&DAM.replace("[[probe]]\nname = \"front\"\nfront = { axis = \"x\" }\n", ""));
     for (folder, options, parts) in [
-        (
-            &bar,
-            "--scales 1,2",
-            &["--scales 1,2", "three or more", "0.5,1,2"][..],
-        ),
+        (&bar, "--scales 1,2", &["--scales 1,2", "three or more", "0.5,1,2"][..]),
         (&bar, "--scales 1,2,2", &["three or more different"]),
         (&bar, "--scales 1,2,-3", &["above zero"]),
-        (
-            &dam,
-            "--steps",
-            &[
-                "--steps",
-                "neither time.fixed_step",
-                "--set time.fixed_step",
-            ],
-        ),
+        (&dam, "--steps", &["--steps", "neither time.fixed_step", "--set time.fixed_step"]),
         (&dam, "--elements", &["--elements", "no [[solid]]"]),
         (&blind, "", &["has no probe", "[[probe]]"]),
     ] {
-        let told = complains(
-            folder,
-            &format!("converge dam.toml --backend cpu {options}"),
-            2,
-        );
+        let told = complains(folder, &format!("converge dam.toml --backend cpu {options}"), 2);
         for part in parts {
             assert!(told.contains(part), "{options}: {told}");
         }

@@ -3,8 +3,8 @@
 use cutwater::linalg::{Incomplete, LinearOperator, SymbolicCholesky, dot};
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
-    CoupledSolution, CoupledSystem, Formulation, Freedom, SIGMA, SolidSolver, StressVariables,
-    TwoField, solve_coupled, solve_weak,
+    CoupledSolution, CoupledSystem, Formulation, Freedom, SIGMA, SolidSolver, StressVariables, TwoField, solve_coupled,
+    solve_weak,
 };
 use cutwater::scene::Solver;
 use cutwater::state::SolveStatus;
@@ -16,63 +16,39 @@ use crate::common::Random;
 const ONE_CORRECTION: f64 = 1e-2;
 
 fn settings(tolerance: f64) -> Solver {
-    Solver {
-        tolerance,
-        max_iterations: 3000,
-        ..Solver::default()
-    }
+    Solver { tolerance, max_iterations: 3000, ..Solver::default() }
 }
 
-fn solved(
-    scene: &BaseScene,
-    system: &CoupledSystem,
-    formulation: Formulation,
-    tolerance: f64,
-) -> CoupledSolution {
+fn solved(scene: &BaseScene, system: &CoupledSystem, formulation: Formulation, tolerance: f64) -> CoupledSolution {
     let solver = SolidSolver::new(&scene.solids);
     let settings = settings(tolerance);
     let solution = solve_coupled(system, formulation, &solver, &scene.solids, &settings).unwrap();
     for report in solution.reports {
-        assert_eq!(
-            report.status,
-            SolveStatus::Converged,
-            "{formulation:?}: {report:?}"
-        );
+        assert_eq!(report.status, SolveStatus::Converged, "{formulation:?}: {report:?}");
     }
     solution
 }
 
 /// Largest differences of p and v, relative to the largest of them.
 fn differences(a: &CoupledSolution, b: &CoupledSolution) -> [f64; 2] {
-    let largest =
-        |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |m, x| f64::max(m, x.abs()));
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, |m, x| f64::max(m, x.abs()));
     let pressures = || a.pressure.iter().zip(&b.pressure);
-    let velocities = || {
-        a.velocity
-            .as_flattened()
-            .iter()
-            .zip(b.velocity.as_flattened())
-    };
+    let velocities = || a.velocity.as_flattened().iter().zip(b.velocity.as_flattened());
     [
         largest(&mut pressures().map(|(a, b)| a - b)) / largest(&mut pressures().map(|(_, b)| *b)),
-        largest(&mut velocities().map(|(a, b)| a - b))
-            / largest(&mut velocities().map(|(_, b)| *b)),
+        largest(&mut velocities().map(|(a, b)| a - b)) / largest(&mut velocities().map(|(_, b)| *b)),
     ]
 }
 
 #[test]
 fn all_formulations_give_the_same_pressure_and_velocity() {
     let scene = BaseScene::new(20, &BaseBeam::default()).unwrap();
-    assert_eq!(
-        [scene.solids.rest.len(), scene.solids.elements.len()],
-        [135, 336]
-    );
+    assert_eq!([scene.solids.rest.len(), scene.solids.elements.len()], [135, 336]);
     let system = scene.coupled_system();
     assert!(system.coupling.pairs().len() > 200);
     let exact = solved(&scene, &system, Formulation::Indefinite, 1e-12);
-    let stress = StressVariables::new(&scene.solids, &scene.matrices().deformations, |body| {
-        body.zeta_stiffness(scene.dt)
-    });
+    let stress =
+        StressVariables::new(&scene.solids, &scene.matrices().deformations, |body| body.zeta_stiffness(scene.dt));
     // Direct solves without a second correction; iterative ones to their tolerance.
     for (formulation, tolerance, of_p, of_v) in [
         (Formulation::Indefinite, ONE_CORRECTION, 1e-11, 1e-11),
@@ -88,11 +64,7 @@ fn all_formulations_give_the_same_pressure_and_velocity() {
     ] {
         let solution = solved(&scene, &system, formulation, tolerance);
         let [p, v] = differences(&solution, &exact);
-        assert!(
-            p <= of_p && v <= of_v,
-            "{}: {p:e} {v:e}",
-            formulation.name()
-        );
+        assert!(p <= of_p && v <= of_v, "{}: {p:e} {v:e}", formulation.name());
     }
     let iterations = |formulation| solved(&scene, &system, formulation, 1e-8).reports[0].iterations;
     assert!(iterations(Formulation::Condensed) <= 20);
@@ -124,11 +96,7 @@ fn a_matrix_without_a_factor_is_a_breakdown() {
 
 #[test]
 fn the_factored_operator_is_the_assembled_matrix() {
-    let beam = BaseBeam {
-        mass_damping: 0.7,
-        stiffness_damping: 1e-3,
-        ..BaseBeam::default()
-    };
+    let beam = BaseBeam { mass_damping: 0.7, stiffness_damping: 1e-3, ..BaseBeam::default() };
     let scene = BaseScene::new(12, &beam).unwrap();
     let system = scene.coupled_system();
     let blocks = system.blocks();
@@ -167,31 +135,18 @@ fn the_factored_operator_is_the_assembled_matrix() {
 /// K = G^T G, and S = D + G^T G with all damping.
 #[test]
 fn stress_variables_are_a_root_of_the_stiffness() {
-    let beam = BaseBeam {
-        bricks: [1, 2, 4],
-        stiffness_damping: 2e-3,
-        ..BaseBeam::default()
-    };
+    let beam = BaseBeam { bricks: [1, 2, 4], stiffness_damping: 2e-3, ..BaseBeam::default() };
     for poisson in [0.0, 0.4, -0.3, 0.49] {
         let scene = BaseScene::new(8, &BaseBeam { poisson, ..beam }).unwrap();
         let matrices = scene.matrices();
-        let stress = StressVariables::new(&scene.solids, &matrices.deformations, |body| {
-            body.zeta_stiffness(scene.dt)
-        });
-        let product = stress
-            .matrix()
-            .transpose()
-            .product(stress.matrix())
-            .unwrap();
+        let stress = StressVariables::new(&scene.solids, &matrices.deformations, |body| body.zeta_stiffness(scene.dt));
+        let product = stress.matrix().transpose().product(stress.matrix()).unwrap();
         let k = matrices.stiffness.to_csr();
         let zeta = scene.dt + 2e-3;
         let size = zeta * k.infinity_norm();
         for (row, column, value) in k.triplets() {
             let error = product.get(row, column) - zeta * value;
-            assert!(
-                error.abs() <= 1e-14 * size,
-                "({row}, {column}): {error:e} of {size:e}"
-            );
+            assert!(error.abs() <= 1e-14 * size, "({row}, {column}): {error:e} of {size:e}");
         }
         assert_eq!(product.n_rows(), k.n_rows());
     }
@@ -208,18 +163,11 @@ fn weak_coupling_takes_the_velocities_before_the_step() {
     let solver = SolidSolver::new(&scene.solids);
     let settings = settings(1e-12);
     let (mut pushed_back, mut pushed) = (pressure.clone(), solid.clone());
-    let solution = solve_weak(
-        (&mut pushed_back, None),
-        &mut pushed,
-        clip.coupling(),
-        before,
-        &settings,
-        |solid| solver.solve(&scene.solids, solid, &settings),
-    )
+    let solution = solve_weak((&mut pushed_back, None), &mut pushed, clip.coupling(), before, &settings, |solid| {
+        solver.solve(&scene.solids, solid, &settings)
+    })
     .unwrap();
-    let coupling = clip
-        .coupling()
-        .restricted(|cell| pressure.stencil.active(cell));
+    let coupling = clip.coupling().restricted(|cell| pressure.stencil.active(cell));
     let mut flux = vec![0.0; pressure.rhs.len()];
     coupling.add_product(before.as_flattened(), &mut flux);
     let left = pressure.residual(&solution.pressure);
@@ -239,30 +187,15 @@ fn weak_coupling_takes_the_velocities_before_the_step() {
 /// prescribed: nothing fixes it, and only motions that keep the volume can be.
 #[test]
 fn closed_liquids_get_their_level_from_solids_that_give_way() {
-    let mut scene = BaseScene::new(
-        12,
-        &BaseBeam {
-            poisson: 0.3,
-            ..BaseBeam::default()
-        },
-    )
-    .unwrap();
+    let mut scene = BaseScene::new(12, &BaseBeam { poisson: 0.3, ..BaseBeam::default() }).unwrap();
     scene.block.liquid_distance.fill(-1.0);
     let system = scene.coupled_system();
     assert!(system.pressure.closed.is_empty());
     assert_eq!(system.squeezed, 0.0);
     let exact = solved(&scene, &system, Formulation::Indefinite, 1e-12);
-    for formulation in [
-        Formulation::TwoField(SIGMA),
-        Formulation::Condensed,
-        Formulation::TwoFieldIterative(SIGMA),
-    ] {
+    for formulation in [Formulation::TwoField(SIGMA), Formulation::Condensed, Formulation::TwoFieldIterative(SIGMA)] {
         let [p, v] = differences(&solved(&scene, &system, formulation, 1e-10), &exact);
-        assert!(
-            p <= 1e-7 && v <= 1e-7,
-            "{}: {p:e} {v:e}",
-            formulation.name()
-        );
+        assert!(p <= 1e-7 && v <= 1e-7, "{}: {p:e} {v:e}", formulation.name());
     }
 
     // Walls that hold every node of it leave the level to nothing, too.
@@ -273,14 +206,8 @@ fn closed_liquids_get_their_level_from_solids_that_give_way() {
     let held = CoupledSystem::new(system.pressure.clone(), solid, &system.coupling);
     let exact = solved(&scene, &held, Formulation::Indefinite, 1e-12);
     assert_eq!(exact.velocity, at_rest);
-    let [largest, sum] = exact
-        .pressure
-        .iter()
-        .fold([0.0, 0.0], |[m, s], p| [f64::max(m, p.abs()), s + p]);
-    assert!(
-        largest > 1.0 && sum.abs() <= 1e-9 * largest,
-        "{largest:e} {sum:e}"
-    );
+    let [largest, sum] = exact.pressure.iter().fold([0.0, 0.0], |[m, s], p| [f64::max(m, p.abs()), s + p]);
+    assert!(largest > 1.0 && sum.abs() <= 1e-9 * largest, "{largest:e} {sum:e}");
     for formulation in [Formulation::TwoField(SIGMA), Formulation::Condensed] {
         let [p, _] = differences(&solved(&scene, &held, formulation, 1e-10), &exact);
         assert!(p <= 1e-7, "{}: {p:e}", formulation.name());
@@ -295,10 +222,7 @@ fn closed_liquids_get_their_level_from_solids_that_give_way() {
         let exact = solved(&scene, &system, Formulation::Indefinite, 1e-12);
         assert!(exact.velocity.iter().all(|v| *v == velocity));
         assert!(exact.pressure.iter().sum::<f64>().abs() <= 1e-6);
-        let [p, _] = differences(
-            &solved(&scene, &system, Formulation::Condensed, 1e-10),
-            &exact,
-        );
+        let [p, _] = differences(&solved(&scene, &system, Formulation::Condensed, 1e-10), &exact);
         assert!(p <= 1e-7, "{p:e}");
     }
     // It grows.
@@ -314,14 +238,7 @@ fn incomplete_factors_are_exact_without_fill_and_shift_where_they_break_down() {
     let mut random = Random(6);
     let band = Csr::from_rows(40, 40, |row, entries| {
         for column in row.saturating_sub(1)..(row + 2).min(40) {
-            entries.push((
-                column,
-                if row == column {
-                    3.0
-                } else {
-                    random.uniform(-1.0, 1.0)
-                },
-            ));
+            entries.push((column, if row == column { 3.0 } else { random.uniform(-1.0, 1.0) }));
         }
     });
     let factor = Incomplete::new(&band).unwrap();
@@ -332,12 +249,7 @@ fn incomplete_factors_are_exact_without_fill_and_shift_where_they_break_down() {
     factor.apply(&b, &mut y);
     assert!(x.iter().zip(&y).all(|(x, y)| (x - y).abs() < 1e-12));
     // Positive definite, but without what would fill in its pivots become negative (Kershaw 1978).
-    let rows = [
-        [3.0, -2.0, 0.0, 2.0],
-        [-2.0, 3.0, -2.0, 0.0],
-        [0.0, -2.0, 3.0, -2.0],
-        [2.0, 0.0, -2.0, 3.0],
-    ];
+    let rows = [[3.0, -2.0, 0.0, 2.0], [-2.0, 3.0, -2.0, 0.0], [0.0, -2.0, 3.0, -2.0], [2.0, 0.0, -2.0, 3.0]];
     let kershaw = Csr::from_rows(4, 4, |row, entries| {
         let row = rows[row].into_iter().enumerate();
         entries.extend(row.filter(|(_, value)| *value != 0.0));

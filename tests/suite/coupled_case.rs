@@ -3,8 +3,8 @@
 use cutwater::effects::Effects;
 use cutwater::elastic::Solids;
 use cutwater::fields::{
-    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, SolidRows,
-    SolidSystemBuffers, SolverBuffers,
+    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, SolidRows, SolidSystemBuffers,
+    SolverBuffers,
 };
 use cutwater::geometry::{Coupling, SolidClip, obstacle_cut};
 use cutwater::gpu::{Gpu, Real, RealBuffer};
@@ -76,18 +76,12 @@ impl CoupledCase {
     /// J on the device, beside systems of which nothing is read.
     pub(crate) fn joint(&self, gpu: &Gpu) -> CouplingBuffers {
         let grid = &self.liquid.grid;
-        let solver = Solver {
-            precision: Precision::F32,
-            ..Solver::default()
-        };
+        let solver = Solver { precision: Precision::F32, ..Solver::default() };
         let liquid = SolverBuffers::new(gpu, grid, solver.precision).unwrap();
         let rows = SolidRows::new(&self.solids).unwrap();
         let solids = SolidSystemBuffers::new(gpu, &rows, &solver).unwrap();
         let pairs = pairs(grid, self.clip.coupling());
-        let size = CouplingSize {
-            quads: pairs.len().max(1),
-            pairs: pairs.len().max(1),
-        };
+        let size = CouplingSize { quads: pairs.len().max(1), pairs: pairs.len().max(1) };
         let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size).unwrap();
         coupling.write(gpu, &pairs, 1.0).unwrap();
         coupling
@@ -116,11 +110,7 @@ pub(crate) fn cases() -> Vec<CoupledCase> {
     let pool = |[_, j, _]: [usize; 3], _: &mut Random| if j < 6 { 8 } else { 0 };
     // Droplets of one cell among them.
     let splashes = |_: [usize; 3], random: &mut Random| {
-        if random.uniform(0.0, 1.0) < 0.15 {
-            3
-        } else {
-            0
-        }
+        if random.uniform(0.0, 1.0) < 0.15 { 3 } else { 0 }
     };
     let everywhere = |_: [usize; 3], _: &mut Random| 2;
     let middle = DVec3::new(0.4, 0.43, 0.45);
@@ -129,11 +119,7 @@ pub(crate) fn cases() -> Vec<CoupledCase> {
     let cases: [(&'static str, &Moved, &Filled); 7] = [
         ("solids in a pool", &|x| x, &pool),
         ("solids in splashes", &|x| x + 0.013, &splashes),
-        (
-            "half through a wall and a corner",
-            &|x| x - DVec3::new(0.31, 0.0, 0.37),
-            &pool,
-        ),
+        ("half through a wall and a corner", &|x| x - DVec3::new(0.31, 0.0, 0.37), &pool),
         // The beam through the ball, and both through the obstacle.
         (
             "in each other",
@@ -142,11 +128,7 @@ pub(crate) fn cases() -> Vec<CoupledCase> {
         ),
         // Less than a cell: several of both solids' surfaces in one.
         ("crushed", &|x| middle + 0.11 * (x - middle), &everywhere),
-        (
-            "flat",
-            &|x| middle + DVec3::new(1.0, 0.02, 1.3) * (x - middle),
-            &pool,
-        ),
+        ("flat", &|x| middle + DVec3::new(1.0, 0.02, 1.3) * (x - middle), &pool),
         ("far away", &|x| x + 30.0, &pool),
     ];
     let scene = scene(&[]);

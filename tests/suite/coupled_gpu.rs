@@ -96,61 +96,28 @@ poisson = 0.3
 ";
     vec![
         ("two balls in a pool", scene(&pool, &[])),
-        (
-            "pressure of the last step",
-            scene(&pool, &["solver.pressure_on_patches=gradient"]),
-        ),
-        (
-            "the two-field form",
-            scene(&pool, &["solver.formulation=two_field"]),
-        ),
-        (
-            "in single precision",
-            scene(&pool, &["solver.precision=f32", "solver.tolerance=1e-5"]),
-        ),
+        ("pressure of the last step", scene(&pool, &["solver.pressure_on_patches=gradient"])),
+        ("the two-field form", scene(&pool, &["solver.formulation=two_field"])),
+        ("in single precision", scene(&pool, &["solver.precision=f32", "solver.tolerance=1e-5"])),
         ("weak coupling", scene(&pool, &["solver.coupling=weak"])),
         (
             "weak coupling with a block that is carried through a full tank",
-            scene(
-                &tank(1.0, &carried([0.1, 0.1])),
-                &["liquid.surface=fixed", "solver.coupling=weak"],
-            ),
+            scene(&tank(1.0, &carried([0.1, 0.1])), &["liquid.surface=fixed", "solver.coupling=weak"]),
         ),
-        (
-            "damping-only coupling",
-            scene(&pool, &["solver.coupling=damping_only"]),
-        ),
+        ("damping-only coupling", scene(&pool, &["solver.coupling=damping_only"])),
         (
             "damping-only coupling above an obstacle",
             scene(
                 &tank(0.6, &format!("{heavy}{POST}")),
-                &[
-                    "solver.coupling=damping_only",
-                    "solver.formulation=two_field",
-                ],
+                &["solver.coupling=damping_only", "solver.formulation=two_field"],
             ),
         ),
-        (
-            "pressure constant in cells",
-            scene(&pool, &["solver.pressure_on_patches=cell"]),
-        ),
-        (
-            "areas from corners",
-            scene(&pool, &["solver.face_areas=nodal"]),
-        ),
+        ("pressure constant in cells", scene(&pool, &["solver.pressure_on_patches=cell"])),
+        ("areas from corners", scene(&pool, &["solver.face_areas=nodal"])),
         ("a fixed surface", scene(&pool, &["liquid.surface=fixed"])),
-        (
-            "a ball above an obstacle",
-            scene(&tank(0.6, &format!("{heavy}{POST}")), &[]),
-        ),
-        (
-            "a ball in a full tank",
-            scene(&full, &["liquid.surface=fixed"]),
-        ),
-        (
-            "a ball that is held in a full tank",
-            scene(&still, &["liquid.surface=fixed"]),
-        ),
+        ("a ball above an obstacle", scene(&tank(0.6, &format!("{heavy}{POST}")), &[])),
+        ("a ball in a full tank", scene(&full, &["liquid.surface=fixed"])),
+        ("a ball that is held in a full tank", scene(&still, &["liquid.surface=fixed"])),
         (
             "a block that is carried through a full tank",
             scene(&tank(1.0, &carried([0.1, 0.1])), &["liquid.surface=fixed"]),
@@ -159,19 +126,14 @@ poisson = 0.3
             "a block that is pulled long in a full tank",
             scene(&tank(1.0, &carried([0.1, 0.05])), &["liquid.surface=fixed"]),
         ),
-        (
-            "out of the liquid",
-            scene(&tank(0.2, &ball("dry", [0.5, 0.6, 0.5], 1000.0)), &[]),
-        ),
+        ("out of the liquid", scene(&tank(0.2, &ball("dry", [0.5, 0.6, 0.5], 1000.0)), &[])),
         ("a bar from wall to wall", scene(&tank(0.6, bar), &[])),
     ]
 }
 
 /// Probes of the forces on these solids.
 fn forces(solids: &[&str]) -> String {
-    let probe = |name: &&str| {
-        format!("[[probe]]\nname = \"on_{name}\"\nforce = {{ solid = \"{name}\" }}\n")
-    };
+    let probe = |name: &&str| format!("[[probe]]\nname = \"on_{name}\"\nforce = {{ solid = \"{name}\" }}\n");
     solids.iter().map(probe).collect()
 }
 
@@ -204,10 +166,7 @@ fn forces_on_each_solid_sum_up_to_those_on_all() {
             let gross: f64 = found.iter().map(|force| force.length()).sum();
             let off = found.iter().sum::<DVec3>().distance(wanted);
             // The device adds them up in f32 where it has no f64, some hundred nodes in a tree.
-            assert!(
-                off <= 1e-5 * gross,
-                "{names:?}, {backend:?}: {found:?}, {report:?}"
-            );
+            assert!(off <= 1e-5 * gross, "{names:?}, {backend:?}: {found:?}, {report:?}");
             let corrected = DVec3::from(report.correction).length() > 0.0;
             assert_eq!(corrected, overrides.is_empty(), "{names:?}: {report:?}");
             for (force, name) in found.iter().zip(names) {
@@ -218,19 +177,13 @@ fn forces_on_each_solid_sum_up_to_those_on_all() {
         let (device, host) = on_each.split_at(names.len());
         for (device, host) in device.iter().zip(host) {
             let off = device.distance(*host);
-            assert!(
-                off <= 1e-3 * host.length(),
-                "{names:?}: {device} and {host}"
-            );
+            assert!(off <= 1e-3 * host.length(), "{names:?}: {device} and {host}");
         }
     }
 }
 
 /// Largest difference of two fields.
-fn off<'a>(
-    found: impl IntoIterator<Item = &'a f64>,
-    twin: impl IntoIterator<Item = &'a f64>,
-) -> f64 {
+fn off<'a>(found: impl IntoIterator<Item = &'a f64>, twin: impl IntoIterator<Item = &'a f64>) -> f64 {
     let pairs = found.into_iter().zip(twin);
     pairs.fold(0.0, |m, (a, b)| f64::max(m, (a - b).abs()))
 }
@@ -269,38 +222,25 @@ fn steps_are_the_twins() {
                 let u = off(&found.velocity[axis], &wanted.velocity[axis]);
                 assert!(u <= of_velocity, "{u:e} m/s, {what}");
             }
-            let v = off(
-                found.node_velocity.as_flattened(),
-                wanted.node_velocity.as_flattened(),
-            );
+            let v = off(found.node_velocity.as_flattened(), wanted.node_velocity.as_flattened());
             assert!(v <= of_velocity, "{v:e} m/s, {what}");
             // rho dx / dt, the impedance of a cell, times that, over the depth of twelve cells.
             let p = off(&found.pressure, &wanted.pressure);
             assert!(p <= 12.0 * 1e5 / 12.0 * of_velocity, "{p:e} Pa, {what}");
             let phi = off(&found.liquid_distance, &wanted.liquid_distance);
             assert!(phi <= 1e-6, "{phi:e} m, {what}");
-            let moved = off(
-                found.displacement.as_flattened(),
-                wanted.displacement.as_flattened(),
-            );
+            let moved = off(found.displacement.as_flattened(), wanted.displacement.as_flattened());
             assert!(moved <= 1e-7, "{moved:e} m, {what}");
 
-            let [of_twin, of_device] =
-                [&twin, &report].map(|report| (report.liquid.unwrap(), report.solid.unwrap()));
+            let [of_twin, of_device] = [&twin, &report].map(|report| (report.liquid.unwrap(), report.solid.unwrap()));
             assert_eq!(of_device.1.contact, of_twin.1.contact, "{what}");
-            assert_eq!(
-                of_device.0.closed_components, of_twin.0.closed_components,
-                "{what}"
-            );
-            let [found, wanted] = [of_device, of_twin]
-                .map(|(liquid, solid)| [liquid.solve, solid.solve].map(|solve| solve.unknowns));
+            assert_eq!(of_device.0.closed_components, of_twin.0.closed_components, "{what}");
+            let [found, wanted] =
+                [of_device, of_twin].map(|(liquid, solid)| [liquid.solve, solid.solve].map(|solve| solve.unknowns));
             assert_eq!(found, wanted, "{what}");
             let [twin, report] = [twin, report].map(|report| report.coupling.unwrap());
             assert_eq!(report.touching, twin.touching, "{what}");
-            for (found, wanted) in [
-                (report.force, twin.force),
-                (report.correction, twin.correction),
-            ] {
+            for (found, wanted) in [(report.force, twin.force), (report.correction, twin.correction)] {
                 // In weak coupling what is left of pushes from both sides, which are at least the weight of the water that a ball
                 // displaces: 139 N. There volume control pushes too; where volumes are summed in f32 it makes 1e-5 m/s in a sub-step of
                 // these 14.2 kg.
@@ -343,26 +283,15 @@ poisson = 0.3
     let mut scene = scene(&tank(0.8, solid), &["liquid.surface=fixed"]);
     let dt = 1.0 / 25.0;
     (scene.time.frames_per_second, scene.time.fixed_step) = (1.0 / dt, Some(dt));
-    let mut both = [
-        on_gpu(&scene),
-        Simulation::new(&scene, &Backend::Cpu).unwrap(),
-    ];
+    let mut both = [on_gpu(&scene), Simulation::new(&scene, &Backend::Cpu).unwrap()];
     for step in 0..12 {
-        let coupling = both
-            .each_mut()
-            .map(|simulation| simulation.step().unwrap().coupling.unwrap());
+        let coupling = both.each_mut().map(|simulation| simulation.step().unwrap().coupling.unwrap());
         let [force, twin] = coupling.map(|of| DVec3::from(of.force) + DVec3::from(of.correction));
-        assert!(
-            force.distance(twin) <= 1e-3 * twin.length(),
-            "sub-step {step}: {coupling:?}"
-        );
+        assert!(force.distance(twin) <= 1e-3 * twin.length(), "sub-step {step}: {coupling:?}");
         if step == 11 {
             // The water above it, 0.5 m of it.
             let above = -1000.0 * 9.81 * 0.5 * 0.4 * 0.4;
-            assert!(
-                (twin.y / above - 1.0).abs() < 1e-2,
-                "{twin} N, not {above} N"
-            );
+            assert!((twin.y / above - 1.0).abs() < 1e-2, "{twin} N, not {above} N");
         }
     }
 }
@@ -380,9 +309,7 @@ fn both_take_what_is_planned() {
     ];
     // The others differ in numbers only.
     let of_kernels = |(name, _): &(&str, Scene)| {
-        !name.starts_with("a ball")
-            && !name.contains("from")
-            && (gpu.has_f64() || of_solve.contains(name))
+        !name.starts_with("a ball") && !name.contains("from") && (gpu.has_f64() || of_solve.contains(name))
     };
     for (name, scene) in cases().into_iter().filter(of_kernels) {
         assert_planned(name, &scene);
@@ -402,19 +329,13 @@ fn diagonals_serve_whole_steps() {
         for solve in report.solves() {
             assert_eq!(solve.status, SolveStatus::Converged, "{overrides:?}");
         }
-        (
-            simulation.state().unwrap(),
-            report.solid.unwrap().solve.iterations,
-        )
+        (simulation.state().unwrap(), report.solid.unwrap().solve.iterations)
     };
     let (wanted, iterations) = step(&["solver.formulation=two_field"]);
     // The block is soft and the polynomial has its degree: as many as on the base scene (`two_field::iterations_stay_few`).
     assert!(iterations <= 30, "{iterations}");
     for kind in ["jacobi", "block_jacobi"] {
-        let overrides = [
-            &format!("solver.preconditioner={kind}")[..],
-            "solver.max_iterations=20000",
-        ];
+        let overrides = [&format!("solver.preconditioner={kind}")[..], "solver.max_iterations=20000"];
         assert_planned(kind, &scene(&text, &overrides));
         let (found, iterations) = step(&overrides);
         let found = found.node_velocity.as_flattened();
@@ -435,14 +356,10 @@ fn without_a_factor_the_form_is_two_field() {
     let held = nodes.position(|held| *held == [true; 3]).unwrap();
     scene.solids.mass[held] = -1e6;
     let system = scene.coupled_system();
-    for (formulation, status) in [
-        (Formulation::Auto, SolveStatus::Converged),
-        (Formulation::Condensed, SolveStatus::Breakdown),
-    ] {
-        let solver = Solver {
-            formulation,
-            ..Solver::default()
-        };
+    for (formulation, status) in
+        [(Formulation::Auto, SolveStatus::Converged), (Formulation::Condensed, SolveStatus::Breakdown)]
+    {
+        let solver = Solver { formulation, ..Solver::default() };
         let device = DeviceScene::new(gpu, &scene, &system, &solver).unwrap();
         device.reset();
         let outcome = device.solve().unwrap();
@@ -471,11 +388,7 @@ poisson = 0.3
 "
         )
     };
-    for (young, formulation, condensed) in [
-        ("1e8", "auto", true),
-        ("1e3", "auto", false),
-        ("1e3", "condensed", true),
-    ] {
+    for (young, formulation, condensed) in [("1e8", "auto", true), ("1e3", "auto", false), ("1e3", "condensed", true)] {
         let form = format!("solver.formulation={formulation}");
         let mut simulation = on_gpu(&scene(&tank(0.8, &block(young)), &[&form]));
         let report = simulation.step().unwrap();
@@ -503,11 +416,7 @@ fn assert_planned(name: &str, scene: &Scene) {
     let planned = plan.buffers.iter();
     let planned = planned.map(|plan| (plan.label.to_owned(), plan.bytes()));
     let allocated = || simulation.gpu().unwrap().allocated();
-    assert_eq!(
-        sums(planned.collect()),
-        sums(allocated()),
-        "{name}: buffers"
-    );
+    assert_eq!(sums(planned.collect()), sums(allocated()), "{name}: buffers");
     let kernels = plan.stages.iter().flat_map(|stage| &stage.kernels).copied();
     let kernels: BTreeSet<&str> = kernels.collect();
     let compiled = simulation.gpu().unwrap().compiled();
@@ -575,10 +484,7 @@ fn runs_repeat() {
     let mut again = on_gpu(&scene);
     for _ in 0..3 {
         let [a, b] = [&mut first, &mut again].map(|simulation| simulation.step().unwrap());
-        assert_eq!(
-            (a.liquid, a.solid, a.coupling),
-            (b.liquid, b.solid, b.coupling)
-        );
+        assert_eq!((a.liquid, a.solid, a.coupling), (b.liquid, b.solid, b.coupling));
     }
     let state = first.state().unwrap();
     assert_eq!(state, again.state().unwrap());
@@ -613,17 +519,12 @@ fn every_stage_is_compared() {
         let compared = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
         let stages: BTreeSet<&str> = compared.rows.iter().map(|row| row.stage).collect();
         let touching = name != "out of the liquid";
-        let together = compared
-            .rows
-            .iter()
-            .any(|row| row.quantity == "v, with liquid");
+        let together = compared.rows.iter().any(|row| row.quantity == "v, with liquid");
         assert_eq!(together, touching, "{name}");
         for stage in ["clip", "move_solid", "solve", "extrapolate", "diagnose"] {
             assert!(stages.contains(stage), "{name}: no {stage} in {stages:?}");
         }
-        compared
-            .verdict()
-            .unwrap_or_else(|error| panic!("{name}: {error}"));
+        compared.verdict().unwrap_or_else(|error| panic!("{name}: {error}"));
     }
 }
 
@@ -643,12 +544,7 @@ impl Exported {
     fn new(scene: &Scene, backend: Backend) -> Exported {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("system");
-        let options = export::Options {
-            backend,
-            step: 0,
-            start: None,
-            out: out.clone(),
-        };
+        let options = export::Options { backend, step: 0, start: None, out: out.clone() };
         export::export(scene, &options).unwrap();
         let matrix = |name: &str| read_matrix(&out.join(name)).unwrap();
         let vector = |name: &str| read_vector(&out.join(name)).unwrap();
@@ -666,9 +562,7 @@ impl Exported {
     fn off(&self, [found, wanted]: [&[f64]; 2]) -> [f64; 2] {
         let parts = [(0..self.n_cells, 0.0), (self.n_cells..wanted.len(), 0.0981)];
         parts.map(|(range, least)| {
-            let largest = wanted[range.clone()]
-                .iter()
-                .fold(least, |m, x| f64::max(m, x.abs()));
+            let largest = wanted[range.clone()].iter().fold(least, |m, x| f64::max(m, x.abs()));
             off(&found[range.clone()], &wanted[range]) / largest
         })
     }
@@ -677,9 +571,7 @@ impl Exported {
     fn direct(&self) -> [Vec<f64>; 2] {
         let indefinite = SymbolicCholesky::new(&self.indefinite).unwrap();
         let spd = SymbolicCholesky::new(&self.spd).unwrap();
-        let indefinite = indefinite
-            .factorise_quasi_definite(&self.indefinite)
-            .unwrap();
+        let indefinite = indefinite.factorise_quasi_definite(&self.indefinite).unwrap();
         let positive = "spd.mtx is positive definite";
         let spd = spd.factorise(&self.spd).expect(positive);
         let solve = |matrix: &Csr, which: usize, correct: &dyn Fn(&mut [f64])| {
@@ -694,10 +586,7 @@ impl Exported {
             }
             x
         };
-        [
-            solve(&self.indefinite, 0, &|x| indefinite.solve(x)),
-            solve(&self.spd, 1, &|x| spd.solve(x)),
-        ]
+        [solve(&self.indefinite, 0, &|x| indefinite.solve(x)), solve(&self.spd, 1, &|x| spd.solve(x))]
     }
 }
 
@@ -733,10 +622,7 @@ fn exported_systems_are_the_stored_ones() {
         let host = Exported::new(&scene, Backend::Cpu);
         let [indefinite, spd] = device.direct();
         let found = device.off([&device.solution, &indefinite]);
-        assert!(
-            found.iter().all(|off| *off <= of_solve),
-            "{name}: {found:?}"
-        );
+        assert!(found.iter().all(|off| *off <= of_solve), "{name}: {found:?}");
         // A22 is a product of matrices: what its condition costs.
         let forms = device.off([&spd, &indefinite]);
         assert!(forms.iter().all(|off| *off <= 1e-9), "{name}: {forms:?}");
@@ -744,18 +630,12 @@ fn exported_systems_are_the_stored_ones() {
         let paths = device.off([&device.solution, &host.solution]);
         assert!(paths.iter().all(|off| *off <= of_f32), "{name}: {paths:?}");
         println!("{name}: {found:?} {forms:?} {paths:?}");
-        for (one, two) in [
-            (&device.spd, &host.spd),
-            (&device.indefinite, &host.indefinite),
-        ] {
+        for (one, two) in [(&device.spd, &host.spd), (&device.indefinite, &host.indefinite)] {
             assert_eq!(one.n_entries(), two.n_entries(), "{name}");
             for (row, column, value) in one.triplets() {
                 let size = (two.get(row, row) * two.get(column, column)).abs().sqrt();
                 let off = (two.get(row, column) - value).abs();
-                assert!(
-                    off <= 1e-5 * size,
-                    "{name}, {row}, {column}: {off:e} of {size:e}"
-                );
+                assert!(off <= 1e-5 * size, "{name}, {row}, {column}: {off:e} of {size:e}");
             }
         }
     }
@@ -765,10 +645,7 @@ fn exported_systems_are_the_stored_ones() {
 #[test]
 fn solids_out_of_the_liquid_store_no_system_of_both() {
     let Some(_) = gpu() else { return };
-    let (_, scene) = cases()
-        .into_iter()
-        .find(|(name, _)| *name == "out of the liquid")
-        .unwrap();
+    let (_, scene) = cases().into_iter().find(|(name, _)| *name == "out of the liquid").unwrap();
     let options = export::Options {
         backend: Backend::Gpu(AdapterChoice::Best),
         step: 0,

@@ -6,9 +6,7 @@ use cutwater::geometry::{ObstacleCut, SolidClip};
 use cutwater::grid::Axis;
 use cutwater::linalg::{Csr, SymbolicCholesky, norm, read_matrix, read_vector};
 use cutwater::measure::export;
-use cutwater::reference::{
-    Freedom, Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient,
-};
+use cutwater::reference::{Freedom, Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient};
 use cutwater::scene::{CouplingScheme, FaceAreas, Formulation, PatchPressure, Scene};
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State, StepReport};
@@ -53,10 +51,7 @@ pressure_on_patches = \"{pressure_on_patches}\"
 }
 
 fn step(reference: &mut Reference) -> StepReport {
-    let time_step = TimeStep {
-        dt: DT,
-        ..reference.next_time_step()
-    };
+    let time_step = TimeStep { dt: DT, ..reference.next_time_step() };
     let report = reference.step(time_step).unwrap();
     for solve in report.solves() {
         assert_eq!(solve.status, SolveStatus::Converged, "{solve:?}");
@@ -71,13 +66,8 @@ fn accelerations(reference: &Reference, before: &[[f64; 3]]) -> [f64; 2] {
     let change = |node: usize| DVec3::from(after[node]) - DVec3::from(before[node]);
     let nodes = || 0..after.len();
     let mass: f64 = solids.mass.iter().sum();
-    let mean: DVec3 = nodes()
-        .map(|node| solids.mass[node] * change(node))
-        .sum::<DVec3>()
-        / mass;
-    let largest = nodes()
-        .map(|node| change(node).length())
-        .fold(0.0, f64::max);
+    let mean: DVec3 = nodes().map(|node| solids.mass[node] * change(node)).sum::<DVec3>() / mass;
+    let largest = nodes().map(|node| change(node).length()).fold(0.0, f64::max);
     [mean.length(), largest].map(|v| v / (DT * GRAVITY))
 }
 
@@ -91,18 +81,12 @@ fn a_neutral_block_stays_at_rest() {
     let report = step(&mut reference);
     let [mean, largest] = accelerations(&reference, &still(n));
     let clamp = reference.scene().solver.area_clamp;
-    assert!(
-        mean < 0.1 * clamp && largest < clamp,
-        "{mean:e} g and {largest:e} g"
-    );
+    assert!(mean < 0.1 * clamp && largest < clamp, "{mean:e} g and {largest:e} g");
     // All forces together: pressure at the centres, its variation, and weight.
     let coupling = report.coupling.unwrap();
     let weight = 1000.0 * 0.3 * 0.24 * 0.2 * GRAVITY;
     let sum = DVec3::from(coupling.force) + DVec3::from(coupling.correction);
-    assert!(
-        (sum.y / weight - 1.0).abs() < 0.1 * clamp,
-        "{coupling:?}, {weight} N"
-    );
+    assert!((sum.y / weight - 1.0).abs() < 0.1 * clamp, "{coupling:?}, {weight} N");
     assert!(coupling.touching && coupling.overlap_cells == 0);
     assert!(report.liquid.unwrap().diagnosis.divergence < 1e-6);
 
@@ -117,10 +101,7 @@ fn a_neutral_block_stays_at_rest() {
         let before = reference.state().node_velocity.clone();
         step(&mut reference);
         let [mean, largest] = accelerations(&reference, &before);
-        assert!(
-            mean < bounds[0] && largest < bounds[1],
-            "{mean:e} g and {largest:e} g"
-        );
+        assert!(mean < bounds[0] && largest < bounds[1], "{mean:e} g and {largest:e} g");
     }
 }
 
@@ -137,9 +118,7 @@ fn linear_pressure_pushes_as_archimedes_says() {
     let open = &clip.cut_cells().open;
     let active = cutwater::reference::active_cells(&grid, open, &vec![-1.0; grid.n_cells()], 0.01);
     let slope = DVec3::new(3.0, -7.0, 2.0);
-    let pressure: Vec<f64> = (0..grid.n_cells())
-        .map(|cell| slope.dot(grid.cell_centre(grid.cell_at(cell))))
-        .collect();
+    let pressure: Vec<f64> = (0..grid.n_cells()).map(|cell| slope.dot(grid.cell_centre(grid.cell_at(cell)))).collect();
     let mask = active.stencil.active_mask();
     let mut inner = 0;
     for cell in 0..grid.n_cells() {
@@ -147,20 +126,11 @@ fn linear_pressure_pushes_as_archimedes_says() {
         let expected = if mask[cell] { slope } else { DVec3::ZERO };
         // A cell with no open neighbour along an axis has nothing to tell there.
         let off = (found - expected).abs();
-        assert!(
-            off.max_element() < 1e-10 || off.min_element() < 1e-10,
-            "{found}"
-        );
+        assert!(off.max_element() < 1e-10 || off.min_element() < 1e-10, "{found}");
         inner += usize::from(off.max_element() < 1e-10 && mask[cell]);
     }
     assert!(inner > grid.n_cells() / 2);
-    let forces = patch_pressure(
-        &active.stencil,
-        clip.patches(),
-        &solids.triangles,
-        solids.rest.len(),
-        |_| slope,
-    );
+    let forces = patch_pressure(&active.stencil, clip.patches(), &solids.triangles, solids.rest.len(), |_| slope);
     let mut of_centres = vec![0.0; 3 * solids.rest.len()];
     let coupling = clip.coupling().restricted(|cell| mask[cell]);
     coupling.add_transposed(&pressure, &mut of_centres);
@@ -225,9 +195,7 @@ fn heights(simulation: &Simulation) -> [f64; 2] {
 fn rise(simulation: &Simulation, body: usize) -> f64 {
     let (solids, state) = (simulation.solids(), simulation.state().unwrap());
     let nodes = || solids.bodies[body].nodes.clone();
-    let momentum: f64 = nodes()
-        .map(|node| solids.mass[node] * state.node_velocity[node][1])
-        .sum();
+    let momentum: f64 = nodes().map(|node| solids.mass[node] * state.node_velocity[node][1]).sum();
     momentum / nodes().map(|node| solids.mass[node]).sum::<f64>()
 }
 
@@ -241,11 +209,7 @@ fn light_balls_rise_and_heavy_ones_sink() {
     let inside = |state: &State, simulation: &Simulation| {
         let distance = &simulation.cut_cells().solid_distance;
         let grid = scene.grid();
-        state
-            .markers
-            .iter()
-            .filter(|&&x| grid.sample_cells(distance, x.into()) < 0.0)
-            .count()
+        state.markers.iter().filter(|&&x| grid.sample_cells(distance, x.into()) < 0.0).count()
     };
     assert_eq!(inside(&start, &simulation), 0);
     let mut again = Simulation::new(&scene, &Backend::Cpu).unwrap();
@@ -280,19 +244,13 @@ fn light_balls_rise_and_heavy_ones_sink() {
     }
     assert_eq!(simulation.state().unwrap(), again.state().unwrap());
     let after = heights(&simulation);
-    assert!(
-        after[0] > before[0] && after[1] < before[1],
-        "{before:?} {after:?}"
-    );
+    assert!(after[0] > before[0] && after[1] < before[1], "{before:?} {after:?}");
     let end = simulation.state().unwrap();
     assert!(inside(&end, &simulation) == 0 && end.markers.len() > markers * 9 / 10);
 
     // A state in the middle goes on as if nothing had happened.
     again.reset(&end).unwrap();
-    assert_eq!(
-        again.step().unwrap().liquid,
-        simulation.step().unwrap().liquid
-    );
+    assert_eq!(again.step().unwrap().liquid, simulation.step().unwrap().liquid);
 }
 
 /// Above the liquid they fall, and each is solved for itself, as if the other were not there.
@@ -302,10 +260,7 @@ fn solids_out_of_the_liquid_are_solved_apart() {
     both.time.fixed_step = Some(1.0 / 240.0);
     let mut reference = reference_path(&both).unwrap();
     let mut kinds = Vec::new();
-    let time_step = TimeStep {
-        dt: DT,
-        ..reference.next_time_step()
-    };
+    let time_step = TimeStep { dt: DT, ..reference.next_time_step() };
     let report = reference
         .step_observed(time_step, &mut |system| {
             kinds.push(match system {
@@ -342,10 +297,7 @@ fn a_failed_step_changes_nothing() {
     let cut = reference.cut_cells().clone();
     state.node_velocity.fill([0.3, -1.0, 0.2]);
     reference.reset(state.clone()).unwrap();
-    let time_step = TimeStep {
-        dt: DT,
-        ..reference.next_time_step()
-    };
+    let time_step = TimeStep { dt: DT, ..reference.next_time_step() };
     let face = scene.grid().face(Axis::Y, [8, 3, 8]);
     for of_liquid in [true, false] {
         let mut bad = state.clone();
@@ -395,10 +347,7 @@ damping = {{ stiffness = 0.002 }}
     for _ in 0..12 {
         let report = simulation.step().unwrap();
         assert!(report.coupling.unwrap().touching);
-        let (speed, time) = (
-            report.solid.unwrap().diagnosis.max_speed,
-            simulation.clock().time,
-        );
+        let (speed, time) = (report.solid.unwrap().diagnosis.max_speed, simulation.clock().time);
         println!("{speed} m/s of {} m/s", acceleration * time);
         assert!(speed < acceleration * time, "{speed} m/s at {time} s");
     }
@@ -434,12 +383,7 @@ sphere = { centre = [0.5, 0.13, 0.47], radius = 0.25 }
 fn exported_systems_agree(scene: &Scene) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("system");
-    let options = export::Options {
-        backend: Backend::Cpu,
-        step: 0,
-        start: None,
-        out: out.clone(),
-    };
+    let options = export::Options { backend: Backend::Cpu, step: 0, start: None, out: out.clone() };
     let meta = export::export(scene, &options).unwrap();
     assert!(meta.residual < 1e-8, "{meta:?}");
     let json = crate::common::json(fs::read(out.join("meta.json")).unwrap());
@@ -459,24 +403,16 @@ fn exported_systems_agree(scene: &Scene) {
     assert!(left < 1e-10, "{left:e}");
     let spd = matrix("spd.mtx");
     let symbolic = SymbolicCholesky::new(&spd).unwrap();
-    let factor = symbolic
-        .factorise(&spd)
-        .expect("spd.mtx is positive definite");
+    let factor = symbolic.factorise(&spd).expect("spd.mtx is positive definite");
     let rhs = vector("spd_rhs.mtx");
     let mut direct = vec![0.0; rhs.len()];
     // A22 is a product of matrices: a correction takes away what its condition costs.
     for _ in 0..2 {
         let mut correction = vec![0.0; rhs.len()];
         spd.multiply(&direct, &mut correction);
-        correction
-            .iter_mut()
-            .zip(&rhs)
-            .for_each(|(y, b)| *y = b - *y);
+        correction.iter_mut().zip(&rhs).for_each(|(y, b)| *y = b - *y);
         factor.solve(&mut correction);
-        direct
-            .iter_mut()
-            .zip(correction)
-            .for_each(|(x, dx)| *x += dx);
+        direct.iter_mut().zip(correction).for_each(|(x, dx)| *x += dx);
     }
     let largest = |x: &[f64]| x.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
     let n = matrix("B.mtx").n_rows();
@@ -495,34 +431,16 @@ fn exported_systems_agree(scene: &Scene) {
     let blocks = Csr::bordered(&matrix("B.mtx"), &matrix("J.mtx"), -1.0, &s);
     for (row, column, value) in blocks.triplets() {
         let error = (value - indefinite.get(row, column)).abs();
-        assert!(
-            error <= 1e-14 * s.infinity_norm(),
-            "({row}, {column}): {error:e}"
-        );
+        assert!(error <= 1e-14 * s.infinity_norm(), "({row}, {column}): {error:e}");
     }
     let stress = matrix("stress.mtx");
     let symbolic = SymbolicCholesky::new(&stress).unwrap();
     let mut direct = vector("stress_rhs.mtx");
     symbolic.factorise(&stress).unwrap().solve(&mut direct);
-    let off: Vec<f64> = direct[..n]
-        .iter()
-        .zip(&solution)
-        .map(|(a, b)| a - b)
-        .collect();
-    assert!(
-        largest(&off) <= 1e-6 * largest(&solution[..n]),
-        "{:e}",
-        largest(&off)
-    );
+    let off: Vec<f64> = direct[..n].iter().zip(&solution).map(|(a, b)| a - b).collect();
+    assert!(largest(&off) <= 1e-6 * largest(&solution[..n]), "{:e}", largest(&off));
     let nodes = fs::read_to_string(out.join("nodes.csv")).unwrap();
-    assert!(
-        nodes
-            .lines()
-            .nth(1)
-            .unwrap()
-            .contains(&format!(",{},", n + 1)),
-        "{nodes}"
-    );
+    assert!(nodes.lines().nth(1).unwrap().contains(&format!(",{},", n + 1)), "{nodes}");
 }
 
 #[test]
@@ -537,9 +455,7 @@ fn exported_systems_of_a_held_block_agree() {
     let time_step = reference.next_time_step();
     let mut oblique = 0;
     let mut look = |of_step: StepSystem| {
-        let StepSystem::Coupled(system, ..) = of_step else {
-            panic!("block and liquid touch")
-        };
+        let StepSystem::Coupled(system, ..) = of_step else { panic!("block and liquid touch") };
         let across = |freedom: &&Freedom| freedom.projector.col(0).y.abs() > 1e-3;
         oblique += system.solid.freedom().iter().filter(across).count();
     };
@@ -568,12 +484,7 @@ fn other_coupling_exports_what_it_solves_or_nothing() {
     ] {
         let mut scene = two_balls(0.25);
         scene.solver.coupling = coupling;
-        let options = export::Options {
-            backend,
-            step: 0,
-            start: None,
-            out: folder.path().join("system"),
-        };
+        let options = export::Options { backend, step: 0, start: None, out: folder.path().join("system") };
         let error = export::export(&scene, &options).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
     }
@@ -588,29 +499,18 @@ fn solids_out_of_the_liquid_export_no_system_of_both() {
         start: None,
         out: tempfile::tempdir().unwrap().path().join("system"),
     };
-    let error = export::export(&two_balls(0.8), &options)
-        .unwrap_err()
-        .to_string();
-    assert!(
-        error.contains("do not touch") && error.contains("touching"),
-        "{error}"
-    );
+    let error = export::export(&two_balls(0.8), &options).unwrap_err().to_string();
+    assert!(error.contains("do not touch") && error.contains("touching"), "{error}");
 }
 
 #[test]
 fn scenes_of_both_have_keys_of_their_own() {
     let solver = block_at_rest(8, "gradient").solver;
     assert_eq!(solver.pressure_on_patches, PatchPressure::Gradient);
-    assert_eq!(
-        (solver.face_areas, solver.area_clamp),
-        (FaceAreas::Clipped, 1e-3)
-    );
+    assert_eq!((solver.face_areas, solver.area_clamp), (FaceAreas::Clipped, 1e-3));
     let nodal = scene(&two_balls_text(0.25, "[solver]\nface_areas = \"nodal\"\n")).solver;
     assert_eq!(nodal.pressure_on_patches, PatchPressure::Hydrostatic);
-    assert_eq!(
-        (nodal.face_areas, nodal.area_clamp),
-        (FaceAreas::Nodal, 1e-2)
-    );
+    assert_eq!((nodal.face_areas, nodal.area_clamp), (FaceAreas::Nodal, 1e-2));
 }
 
 /// Diagonals are those of the two-field system, unless the condensed form is asked for, which has no nodes.
@@ -624,10 +524,7 @@ fn diagonals_are_of_a_form() {
         assert_eq!(form(&keys), Formulation::TwoField);
     }
     let condensed = "formulation = \"condensed\"\npreconditioner = ";
-    assert_eq!(
-        form(&format!("{condensed}\"jacobi\"")),
-        Formulation::Condensed
-    );
+    assert_eq!(form(&format!("{condensed}\"jacobi\"")), Formulation::Condensed);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("test.toml");
     fs::write(&path, with(&format!("{condensed}\"block_jacobi\""))).unwrap();

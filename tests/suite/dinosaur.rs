@@ -9,10 +9,7 @@ use glam::DVec3;
 
 use crate::tet_mesh::{assert_sound, euler_characteristic};
 
-#[expect(
-    dead_code,
-    reason = "the command's own main, which the test runs without"
-)]
+#[expect(dead_code, reason = "the command's own main, which the test runs without")]
 #[path = "../../examples/dinosaur.rs"]
 mod example;
 

@@ -63,10 +63,7 @@ fn folder() -> TempDir {
 }
 
 fn on_cpu(folder: &TempDir) -> Run<'_> {
-    Run {
-        folder: folder.path(),
-        arguments: "run wall.toml --backend cpu",
-    }
+    Run { folder: folder.path(), arguments: "run wall.toml --backend cpu" }
 }
 
 /// Standard error of a run that must be refused.
@@ -97,10 +94,7 @@ fn a_resumed_run_accepts_edits_that_leave_its_frames_alone() {
     // The longer run that nobody disturbed.
     let wanted = contents(&run.whole("whole", "--frames 6"));
     let edited = SCENE
-        .replace(
-            "[domain]",
-            "# Longer, seen from elsewhere, with fewer files.\n[domain]",
-        )
+        .replace("[domain]", "# Longer, seen from elsewhere, with fewer files.\n[domain]")
         .replace("duration = 0.1", "duration = 0.2")
         .replace("fov = 40", "fov = 50")
         .replace("every = 1", "every = 2\ncheckpoint_every = 1");
@@ -112,12 +106,7 @@ fn a_resumed_run_accepts_edits_that_leave_its_frames_alone() {
     // Written frames stay, and later ones are every second.
     frames(&[0, 1, 2, 3, 4, 6]);
     let found = contents(&out);
-    for file in [
-        "steps.csv",
-        "probes.csv",
-        "frames/wall_000003.vtu",
-        "frames/wall_000006.vtu",
-    ] {
+    for file in ["steps.csv", "probes.csv", "frames/wall_000003.vtu", "frames/wall_000006.vtu"] {
         assert!(found[file] == wanted[file], "{file} differs");
     }
     assert!(!found.contains_key("frames/wall_000005.vtu"));
@@ -126,18 +115,11 @@ fn a_resumed_run_accepts_edits_that_leave_its_frames_alone() {
     assert!(!found.contains_key("frames/wall_wall.glb"));
     assert_eq!(Manifest::read(&out).unwrap().camera.fov, 50.0);
     // A finished run has its new camera without another frame.
-    fs::write(
-        folder.path().join("wall.toml"),
-        edited.replace("fov = 50", "fov = 60"),
-    )
-    .unwrap();
+    fs::write(folder.path().join("wall.toml"), edited.replace("fov = 50", "fov = 60")).unwrap();
     skin();
     run.whole("out", "--resume");
     assert_eq!(Manifest::read(&out).unwrap().camera.fov, 60.0);
-    assert!(
-        contents(&out).contains_key("frames/wall_wall.glb"),
-        "nothing was computed"
-    );
+    assert!(contents(&out).contains_key("frames/wall_wall.glb"), "nothing was computed");
 }
 
 #[test]
@@ -146,39 +128,22 @@ fn a_resumed_run_refuses_edits_by_their_keys() {
     let run = on_cpu(&folder);
     let before = contents(&run.whole("out", "--frames 2"));
     for (more, expected) in [
-        (
-            "--set solid.wall.young=2e6",
-            "solid[0].young was 1000000 and is 2000000",
-        ),
+        ("--set solid.wall.young=2e6", "solid[0].young was 1000000 and is 2000000"),
         ("--set time.cfl=2", "time.cfl is new: 2"),
-        (
-            "--without obstacle",
-            "obstacle[0].box.max was [0.7, 0.1, 0.2] and is gone",
-        ),
-        (
-            "--set output.solids=false",
-            "frames 0 to 2 were written with output.solids",
-        ),
-        (
-            "--set output.fields=true",
-            "frames 0 to 2 were written without output.fields",
-        ),
+        ("--without obstacle", "obstacle[0].box.max was [0.7, 0.1, 0.2] and is gone"),
+        ("--set output.solids=false", "frames 0 to 2 were written with output.solids"),
+        ("--set output.fields=true", "frames 0 to 2 were written without output.fields"),
         ("--set time.duration=0.04 --frames 1", "2 frames"),
     ] {
         let message = refusal(
             &run,
-            &format!("--frames 4 --resume {more}").replace(
-                "--frames 4 --resume --set time.duration=0.04",
-                "--resume --set time.duration=0.04",
-            ),
+            &format!("--frames 4 --resume {more}")
+                .replace("--frames 4 --resume --set time.duration=0.04", "--resume --set time.duration=0.04"),
         );
         assert!(message.contains(expected), "{more}: {message}");
     }
     // More changes than a message has room for.
-    let message = refusal(
-        &run,
-        "--resume --without obstacle --without solid.wall --without sink",
-    );
+    let message = refusal(&run, "--resume --without obstacle --without solid.wall --without sink");
     assert!(message.contains(" more"), "{message}");
     assert_eq!(contents(&folder.path().join("out")), before);
 }
@@ -191,79 +156,30 @@ fn scene(keys: &[&str]) -> Result<Scene, cutwater::Error> {
 
 #[test]
 fn removed_parts_take_along_what_refers_to_them() {
-    let names = |scene: &Scene| -> Vec<String> {
-        scene
-            .solids
-            .iter()
-            .map(|solid| solid.name.clone())
-            .collect()
-    };
-    let probes = |scene: &Scene| -> Vec<String> {
-        scene
-            .probes
-            .iter()
-            .map(|probe| probe.name.clone())
-            .collect()
-    };
+    let names = |scene: &Scene| -> Vec<String> { scene.solids.iter().map(|solid| solid.name.clone()).collect() };
+    let probes = |scene: &Scene| -> Vec<String> { scene.probes.iter().map(|probe| probe.name.clone()).collect() };
     let dry = scene(&["liquid"]).unwrap();
     assert!(dry.liquid.is_none() && dry.sinks.is_empty() && !dry.domain.open.any());
     assert_eq!(names(&dry), ["wall", "dry.block"]);
     assert_eq!(probes(&dry), ["block"]);
-    assert_eq!(
-        dry.removed,
-        [
-            "sink",
-            "domain.open",
-            "solver.formulation",
-            "probe \"column\"",
-            "probe \"load\""
-        ]
-    );
+    assert_eq!(dry.removed, ["sink", "domain.open", "solver.formulation", "probe \"column\"", "probe \"load\""]);
     // The same by index and by name, also by one with a point.
-    for keys in [
-        vec!["solid[0]"],
-        vec!["solid.wall"],
-        vec!["solid[0]", "solid.wall"],
-    ] {
+    for keys in [vec!["solid[0]"], vec!["solid.wall"], vec!["solid[0]", "solid.wall"]] {
         let one = scene(&keys).unwrap();
         assert_eq!(names(&one), ["dry.block"], "{keys:?}");
         assert_eq!(probes(&one), ["column", "block"]);
         assert_eq!(one.removed, ["probe \"load\""]);
     }
     let one = scene(&["solid.dry.block"]).unwrap();
-    assert_eq!(
-        (names(&one), probes(&one)),
-        (
-            vec!["wall".to_owned()],
-            vec!["column".into(), "load".into()]
-        )
-    );
+    assert_eq!((names(&one), probes(&one)), (vec!["wall".to_owned()], vec!["column".into(), "load".into()]));
     // Both indices are those of the file.
-    for keys in [
-        vec!["solid[0]", "solid[1]"],
-        vec!["solid"],
-        vec!["solid.wall", "solid.dry.block"],
-    ] {
+    for keys in [vec!["solid[0]", "solid[1]"], vec!["solid"], vec!["solid.wall", "solid.dry.block"]] {
         let wet = scene(&keys).unwrap();
         assert!(wet.solids.is_empty() && wet.liquid.is_some(), "{keys:?}");
         assert_eq!(probes(&wet), ["column"]);
-        assert_eq!(
-            wet.removed,
-            [
-                "output.solids",
-                "solver.formulation",
-                "probe \"load\"",
-                "probe \"block\""
-            ]
-        );
+        assert_eq!(wet.removed, ["output.solids", "solver.formulation", "probe \"load\"", "probe \"block\""]);
     }
-    let bare = scene(&[
-        "obstacle[0]",
-        "domain.open.+x",
-        "probe.column",
-        "solid.wall.pin",
-    ])
-    .unwrap();
+    let bare = scene(&["obstacle[0]", "domain.open.+x", "probe.column", "solid.wall.pin"]).unwrap();
     assert!(bare.obstacles.is_empty() && bare.solids[0].pins.is_empty() && bare.removed.is_empty());
     assert_eq!(probes(&bare), ["load", "block"]);
     assert_eq!(bare.values["domain.open"], "[\"+y\"]");
@@ -281,10 +197,7 @@ fn what_cannot_be_removed_is_refused() {
             "--without solid[2]: there is no `[2]` in solid\n  cure: choose one of solid[0] (wall), solid[1] (dry.block)",
         ),
         (vec!["solid.dry"], "there is no `dry` in solid"),
-        (
-            vec!["liquids"],
-            "there is no `liquids` in the scene\n  cure: choose one of camera, domain, liquid",
-        ),
+        (vec!["liquids"], "there is no `liquids` in the scene\n  cure: choose one of camera, domain, liquid"),
         (vec!["liquid.density"], "there is no `density` in liquid"),
         (vec!["solid."], "`solid.` is not a key"),
         (vec![""], "there is no `` in the scene"),
@@ -302,30 +215,16 @@ fn every_command_with_a_scene_removes_parts() {
     let folder = folder();
     let command = |arguments: &str, code: i32| {
         let mut command = crate::common::program();
-        command
-            .args(arguments.split_whitespace())
-            .current_dir(folder.path());
+        command.args(arguments.split_whitespace()).current_dir(folder.path());
         let output = command.output().unwrap();
         let message = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(code), "{arguments}: {message}");
-        (
-            String::from_utf8_lossy(&output.stdout).into_owned(),
-            message,
-        )
+        (String::from_utf8_lossy(&output.stdout).into_owned(), message)
     };
-    let (_, message) = command(
-        "run wall.toml --backend cpu --frames 1 --without liquid --without solid.wall",
-        0,
-    );
-    assert!(
-        message.contains("--without also removes what refers to it: sink, domain.open,"),
-        "{message}"
-    );
+    let (_, message) = command("run wall.toml --backend cpu --frames 1 --without liquid --without solid.wall", 0);
+    assert!(message.contains("--without also removes what refers to it: sink, domain.open,"), "{message}");
     let manifest = Manifest::read(&folder.path().join("out/wall")).unwrap();
-    assert_eq!(
-        manifest.options.overrides,
-        ["without liquid", "without solid.wall"]
-    );
+    assert_eq!(manifest.options.overrides, ["without liquid", "without solid.wall"]);
     assert_eq!(manifest.solids.len(), 1);
     command("plan wall.toml --backend cpu --without solid", 0);
     command(

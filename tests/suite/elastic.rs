@@ -1,8 +1,8 @@
 //! Elements of solids in f64, and the solids of a scene, against closed forms and tables of other programs.
 
 use cutwater::elastic::{
-    Deformation, Solids, energy_density, forces, lame_parameters, rest_shape, rotation,
-    stiffness_block, stress, von_mises,
+    Deformation, Solids, energy_density, forces, lame_parameters, rest_shape, rotation, stiffness_block, stress,
+    von_mises,
 };
 use cutwater::geometry::TetMesh;
 use cutwater::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Placement, Shape, SolidMesh};
@@ -18,18 +18,11 @@ fn by_rows(numbers: &[f64]) -> DMat3 {
 
 /// Largest magnitude of an entry.
 fn largest(m: DMat3) -> f64 {
-    m.to_cols_array()
-        .into_iter()
-        .map(f64::abs)
-        .fold(0.0, f64::max)
+    m.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max)
 }
 
 fn frobenius(m: DMat3) -> f64 {
-    m.to_cols_array()
-        .into_iter()
-        .map(|x| x * x)
-        .sum::<f64>()
-        .sqrt()
+    m.to_cols_array().into_iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 fn random_matrix(random: &mut Random, size: f64) -> DMat3 {
@@ -38,8 +31,7 @@ fn random_matrix(random: &mut Random, size: f64) -> DMat3 {
 
 /// A random rotation, uniform enough.
 pub(crate) fn random_rotation(random: &mut Random) -> DMat3 {
-    let mut direction =
-        || DVec3::from_array(std::array::from_fn(|_| random.uniform(-1.0, 1.0))).normalize();
+    let mut direction = || DVec3::from_array(std::array::from_fn(|_| random.uniform(-1.0, 1.0))).normalize();
     let (a, b) = (direction(), direction());
     let angle = random.uniform(-3.1, 3.1);
     DMat3::from_axis_angle(a, angle) * DMat3::from_axis_angle(b, 0.7 * angle)
@@ -48,15 +40,9 @@ pub(crate) fn random_rotation(random: &mut Random) -> DMat3 {
 /// R^T R = I and det R = 1.
 fn assert_proper(r: DMat3, what: &str) {
     let defect = largest(r.transpose() * r - DMat3::IDENTITY);
-    assert!(
-        defect < 1e-14,
-        "{what}: {r} is not orthogonal by {defect:e}"
-    );
+    assert!(defect < 1e-14, "{what}: {r} is not orthogonal by {defect:e}");
     let determinant = r.determinant();
-    assert!(
-        (determinant - 1.0).abs() < 1e-14,
-        "{what}: det R = {determinant}"
-    );
+    assert!((determinant - 1.0).abs() < 1e-14, "{what}: det R = {determinant}");
 }
 
 /// S12.
@@ -69,11 +55,7 @@ fn rotations_agree_with_forty_digits() {
         let r = rotation(f);
         assert_proper(r, row[0]);
         let (distance, least) = (frobenius(f - r), frobenius(f - exact));
-        assert!(
-            distance <= least * (1.0 + 1e-6) + 1e-14,
-            "{}: {distance} from F, where {least} is possible",
-            row[0]
-        );
+        assert!(distance <= least * (1.0 + 1e-6) + 1e-14, "{}: {distance} from F, where {least} is possible", row[0]);
         // Reflections have no single nearest rotation: the three smallest singular values are equal.
         let unique = row[0] != "inverted_mirror";
         let error = largest(r - exact);
@@ -113,10 +95,7 @@ fn rotations_of_made_up_gradients_are_those_of_their_factors() {
             let gap = sizes[1] + if sign < 0.0 { -sizes[0] } else { sizes[0] };
             let bound = 1e-14 * (1.0 + sizes[2] / gap);
             let error = largest(r - u * v.transpose());
-            assert!(
-                error <= bound,
-                "{stretch:?}: off by {error:e}, allowed {bound:e}"
-            );
+            assert!(error <= bound, "{stretch:?}: off by {error:e}, allowed {bound:e}");
         }
     }
 }
@@ -153,10 +132,7 @@ fn no_rotation_is_nearer_to_an_ugly_gradient() {
             let small = DMat3::from_axis_angle(DVec3::AXES[number % 3], 1e-3);
             for other in [turn, small * r, small.transpose() * r] {
                 let nearest = frobenius(f - other) * (1.0 + 1e-12);
-                assert!(
-                    distance <= nearest,
-                    "{f}: {r} is at {distance}, {other} at {nearest}"
-                );
+                assert!(distance <= nearest, "{f}: {r} is at {distance}, {other} at {nearest}");
             }
         }
     }
@@ -165,20 +141,13 @@ fn no_rotation_is_nearer_to_an_ugly_gradient() {
 #[test]
 fn gradients_that_are_not_finite_end_the_iteration() {
     for bad in [f64::NAN, f64::INFINITY] {
-        assert_eq!(
-            rotation(DMat3::from_diagonal(DVec3::new(1.0, bad, 1.0))),
-            DMat3::IDENTITY
-        );
+        assert_eq!(rotation(DMat3::from_diagonal(DVec3::new(1.0, bad, 1.0))), DMat3::IDENTITY);
     }
 }
 
 const UNIT: [DVec3; 4] = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
-const SKEW: [DVec3; 4] = [
-    DVec3::new(0.1, 0.2, 0.3),
-    DVec3::new(1.2, 0.1, 0.0),
-    DVec3::new(0.3, 1.1, 0.2),
-    DVec3::new(0.2, 0.4, 1.3),
-];
+const SKEW: [DVec3; 4] =
+    [DVec3::new(0.1, 0.2, 0.3), DVec3::new(1.2, 0.1, 0.0), DVec3::new(0.3, 1.1, 0.2), DVec3::new(0.2, 0.4, 1.3)];
 
 /// The 12x12 stiffness of an element at rest.
 fn stiffness(corners: [DVec3; 4], lambda: f64, mu: f64) -> [[f64; 12]; 12] {
@@ -201,11 +170,7 @@ fn element_stiffness_is_that_of_scikit_fem() {
         let number: usize = row[1].parse().unwrap();
         for (column, value) in row[2..].iter().enumerate() {
             let (ours, table) = (k[number][column], value.parse::<f64>().unwrap());
-            assert!(
-                (ours - table).abs() <= 1e-9 * 400.0,
-                "{} {number} {column}: {ours}, table {table}",
-                row[0]
-            );
+            assert!((ours - table).abs() <= 1e-9 * 400.0, "{} {number} {column}: {ours}, table {table}", row[0]);
         }
     }
     for corners in [UNIT, SKEW] {
@@ -229,9 +194,7 @@ fn element_stiffness_is_that_of_scikit_fem() {
             for column in 0..12 {
                 let (a, b) = (strain[row], strain[column]);
                 let traces = [a, b].map(|strain| strain[..3].iter().sum::<f64>());
-                let same: f64 = (0..6)
-                    .map(|k| a[k] * b[k] * if k < 3 { 2.0 * mu } else { mu })
-                    .sum();
+                let same: f64 = (0..6).map(|k| a[k] * b[k] * if k < 3 { 2.0 * mu } else { mu }).sum();
                 let exact = volume * (same + lambda * traces[0] * traces[1]);
                 let error = (k[row][column] - exact).abs();
                 assert!(error <= 1e-13 * 400.0, "{row} {column}: off by {error:e}");
@@ -268,21 +231,13 @@ fn force_is_the_gradient_of_energy_and_stiffness_that_of_force() {
                             u[corner] += step * axis;
                             u
                         };
-                        let energy =
-                            |step| volume * energy_density(at(moved(step)).strain, lambda, mu);
+                        let energy = |step| volume * energy_density(at(moved(step)).strain, lambda, mu);
                         let slope = (energy(h) - energy(-h)) / (2.0 * h);
                         let error = (slope - pull[corner].dot(axis)).abs();
                         // Truncation: third derivatives, which grow where singular values of inverted elements come close.
-                        assert!(
-                            error <= 1e-4 * (scale + mu),
-                            "{model:?} size {size}: {error:e} of {scale:e} N"
-                        );
-                        let frozen = Deformation {
-                            rotation: here.rotation,
-                            ..at(moved(1.0))
-                        };
-                        let turned = here.rotation.transpose()
-                            * (frozen.gradient + DMat3::IDENTITY - here.rotation);
+                        assert!(error <= 1e-4 * (scale + mu), "{model:?} size {size}: {error:e} of {scale:e} N");
+                        let frozen = Deformation { rotation: here.rotation, ..at(moved(1.0)) };
+                        let turned = here.rotation.transpose() * (frozen.gradient + DMat3::IDENTITY - here.rotation);
                         let strain = 0.5 * (turned + turned.transpose());
                         let frozen = Deformation { strain, ..frozen };
                         let change = forces(&gradients, volume, &frozen, lambda, mu);
@@ -317,10 +272,7 @@ fn turned_elements_carry_no_force() {
         let force = forces(&gradients, volume, &still, lambda, mu);
         let largest_force = force.map(DVec3::length).into_iter().fold(0.0, f64::max);
         // E times an area of about 1 m^2.
-        assert!(
-            largest_force <= 1e-12 * 210e9 * 1.0,
-            "{largest_force} N, turned by {turn}"
-        );
+        assert!(largest_force <= 1e-12 * 210e9 * 1.0, "{largest_force} N, turned by {turn}");
         assert!(von_mises(stress(still.strain, lambda, mu)) <= 1e-12 * 210e9);
         assert!((still.determinant() - 1.0).abs() < 1e-14);
         if number < 180 {
@@ -345,19 +297,11 @@ fn uniaxial_stress_is_its_von_mises_stress() {
 }
 
 fn cuboid(min: [f64; 3], max: [f64; 3]) -> Shape {
-    Shape::Box {
-        min: min.into(),
-        max: max.into(),
-    }
+    Shape::Box { min: min.into(), max: max.into() }
 }
 
 fn pin(region: Shape, components: [bool; 3], keyframes: Vec<Keyframe>) -> Pin {
-    Pin {
-        region,
-        components,
-        keyframes,
-        pivot: None,
-    }
+    Pin { region, components, keyframes, pivot: None }
 }
 
 #[test]
@@ -367,35 +311,19 @@ fn masses_loads_and_pins_are_those_of_the_scene() {
     let end = cuboid([1.0, -1.0, -1.0], [1.0, 2.0, 2.0]);
     let (force, traction) = (DVec3::new(1.0, -2.0, 3.0), DVec3::new(5.0, -7.0, 11.0));
     solid.loads = vec![
-        Load {
-            region: end,
-            kind: LoadKind::Force(force),
-            keyframes: Vec::new(),
-        },
-        Load {
-            region: top.clone(),
-            kind: LoadKind::Traction(traction),
-            keyframes: Vec::new(),
-        },
+        Load { region: end, kind: LoadKind::Force(force), keyframes: Vec::new() },
+        Load { region: top.clone(), kind: LoadKind::Traction(traction), keyframes: Vec::new() },
     ];
     let edge = cuboid([0.0; 3], [0.0, 0.0, 1.0]);
-    solid.pins = vec![
-        pin(edge, [true, false, true], Vec::new()),
-        pin(top, [false, true, false], Vec::new()),
-    ];
+    solid.pins = vec![pin(edge, [true, false, true], Vec::new()), pin(top, [false, true, false], Vec::new())];
     let mut other = block([0.1; 3], [1, 1, 1]);
     other.name = "other".into();
     other.placement.translate = DVec3::splat(2.0);
     let scene = scene_of(vec![solid, other]);
     let solids = solids_of(&scene);
-    let [body, second] = &solids.bodies[..] else {
-        panic!("two bodies")
-    };
+    let [body, second] = &solids.bodies[..] else { panic!("two bodies") };
     assert_eq!((body.nodes.clone(), second.nodes.clone()), (0..60, 60..68));
-    assert_eq!(
-        (body.elements.clone(), second.elements.clone()),
-        (0..144, 144..150)
-    );
+    assert_eq!((body.elements.clone(), second.elements.clone()), (0..144, 144..150));
     assert_eq!(solids.body_of_element(143).name, "block");
     assert_eq!(solids.body_of_element(144).name, "other");
     assert_eq!(solids.body_of_node(60).name, "other");
@@ -413,19 +341,12 @@ fn masses_loads_and_pins_are_those_of_the_scene() {
     }
     // Moments of the traction: that of its resultant at the middle of the face.
     let far = |node: &usize| solids.rest[*node].x < 1.0;
-    let moment: DVec3 = (0..60)
-        .map(|node| (solids.rest[node] - DVec3::new(0.5, 0.5, 0.125)).cross(solids.load[node]))
-        .sum();
+    let moment: DVec3 =
+        (0..60).map(|node| (solids.rest[node] - DVec3::new(0.5, 0.5, 0.125)).cross(solids.load[node])).sum();
     let by_force = DVec3::new(0.5, -0.25, 0.0).cross(force);
     assert!(moment.distance(by_force) < 1e-12, "{moment} N m");
-    let unloaded = (0..60)
-        .filter(far)
-        .filter(|&node| solids.rest[node].y < 0.5);
-    assert!(
-        unloaded
-            .into_iter()
-            .all(|node| solids.load[node] == DVec3::ZERO)
-    );
+    let unloaded = (0..60).filter(far).filter(|&node| solids.rest[node].y < 0.5);
+    assert!(unloaded.into_iter().all(|node| solids.load[node] == DVec3::ZERO));
     for node in 0..60 {
         let x = solids.rest[node];
         let corner = x.x == 0.0 && x.y == 0.0;
@@ -458,55 +379,30 @@ fn pins_and_loads_that_cannot_be_are_refused() {
     let mut solid = block([1.0; 3], [1, 1, 1]);
     solid.pins = vec![pin(nowhere(), [true; 3], Vec::new())];
     let text = refused(solid);
-    assert!(
-        text.contains("test.toml:") && text.contains(": solid[0].pin[0]: no node of \"block\""),
-        "{text}"
-    );
+    assert!(text.contains("test.toml:") && text.contains(": solid[0].pin[0]: no node of \"block\""), "{text}");
 
     let mut solid = block([1.0; 3], [1, 1, 1]);
     let kind = LoadKind::Force(DVec3::X);
-    solid.loads = vec![Load {
-        region: nowhere(),
-        kind,
-        keyframes: Vec::new(),
-    }];
+    solid.loads = vec![Load { region: nowhere(), kind, keyframes: Vec::new() }];
     assert!(refused(solid).contains("solid[0].load[0]: no node"));
 
     let mut solid = block([1.0; 3], [1, 1, 1]);
     let corner = cuboid([0.0; 3], [0.5; 3]);
     let kind = LoadKind::Traction(DVec3::X);
-    solid.loads = vec![Load {
-        region: corner,
-        kind,
-        keyframes: Vec::new(),
-    }];
+    solid.loads = vec![Load { region: corner, kind, keyframes: Vec::new() }];
     assert!(refused(solid).contains("no surface triangle"));
 
-    let keyframe = |angle| Keyframe {
-        time: 0.0,
-        translate: DVec3::X,
-        axis: DVec3::Y,
-        angle,
-    };
-    let half = Shape::HalfSpace {
-        point: DVec3::ZERO,
-        normal: DVec3::Y,
-    };
+    let keyframe = |angle| Keyframe { time: 0.0, translate: DVec3::X, axis: DVec3::Y, angle };
+    let half = Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::Y };
     let mut solid = block([1.0; 3], [1, 1, 1]);
     solid.pins = vec![pin(half.clone(), [true; 3], vec![keyframe(0.5)])];
     assert!(refused(solid).contains("about the centre of its region"));
 
     let mut solid = block([1.0; 3], [1, 1, 1]);
     let all = cuboid([0.0; 3], [1.0; 3]);
-    solid.pins = vec![
-        pin(half, [true; 3], vec![keyframe(0.0)]),
-        pin(all, [true, false, false], Vec::new()),
-    ];
+    solid.pins = vec![pin(half, [true; 3], vec![keyframe(0.0)]), pin(all, [true, false, false], Vec::new())];
     let text = refused(solid);
-    assert!(
-        text.contains("pin[0]: constrains x of the node at") && text.contains("so does script[0]"),
-        "{text}"
-    );
+    assert!(text.contains("pin[0]: constrains x of the node at") && text.contains("so does script[0]"), "{text}");
 }
 
 #[test]
@@ -518,11 +414,7 @@ fn bodies_start_as_their_scene_says() {
     // A shear and a stretch.
     solid.initial.velocity_gradient[0].y = 0.75;
     solid.initial.velocity_gradient[2].z = -4.0;
-    solid.pins = vec![pin(
-        cuboid([0.0; 3], [0.0, 1.0, 1.0]),
-        [true, false, false],
-        Vec::new(),
-    )];
+    solid.pins = vec![pin(cuboid([0.0; 3], [0.0, 1.0, 1.0]), [true, false, false], Vec::new())];
     let scene = scene_of(vec![solid]);
     let solids = solids_of(&scene);
     let (u, v) = solids.initial_state(&scene);
@@ -542,20 +434,12 @@ fn bodies_start_as_their_scene_says() {
 
 #[test]
 fn scripted_nodes_turn_about_their_pivot() {
-    let frame = |time, angle| Keyframe {
-        time,
-        translate: DVec3::ZERO,
-        axis: DVec3::Z,
-        angle,
-    };
+    let frame = |time, angle| Keyframe { time, translate: DVec3::ZERO, axis: DVec3::Z, angle };
     let quarter = 0.5 * std::f64::consts::PI;
     let pivot = DVec3::new(2.0, -1.0, 0.0);
     let mut solid = block([1.0; 3], [1, 1, 1]);
     let keyframes = vec![frame(0.0, 0.0), frame(1.0, quarter)];
-    solid.pins = vec![Pin {
-        pivot: Some(pivot),
-        ..pin(cuboid([0.0; 3], [1.0; 3]), [true; 3], keyframes)
-    }];
+    solid.pins = vec![Pin { pivot: Some(pivot), ..pin(cuboid([0.0; 3], [1.0; 3]), [true; 3], keyframes) }];
     let solids = solids_of(&scene_of(vec![solid]));
     for &rest in &solids.rest {
         let arm = rest - pivot;
@@ -567,12 +451,8 @@ fn scripted_nodes_turn_about_their_pivot() {
 
 #[test]
 fn scripted_nodes_follow_their_keyframes() {
-    let frame = |time, translate: [f64; 3], angle| Keyframe {
-        time,
-        translate: translate.into(),
-        axis: DVec3::Z,
-        angle,
-    };
+    let frame =
+        |time, translate: [f64; 3], angle| Keyframe { time, translate: translate.into(), axis: DVec3::Z, angle };
     let half_turn = std::f64::consts::PI;
     let keyframes = vec![
         frame(0.0, [0.0, 0.0, 0.5], 0.0),
@@ -588,11 +468,7 @@ fn scripted_nodes_follow_their_keyframes() {
     let place = |time: f64, rest: DVec3| {
         let angle = half_turn * time.clamp(0.0, 1.0);
         let arm = rest - DVec3::new(0.5, 0.5, 0.05);
-        let moved = DVec3::new(
-            time.clamp(0.0, 1.0),
-            2.0 * (time - 1.0).clamp(0.0, 1.0),
-            0.5,
-        );
+        let moved = DVec3::new(time.clamp(0.0, 1.0), 2.0 * (time - 1.0).clamp(0.0, 1.0), 0.5);
         moved + DMat3::from_axis_angle(DVec3::Z, angle) * arm - arm
     };
     let held = |node: &usize| solids.rest[*node].z == 0.0;
@@ -601,11 +477,7 @@ fn scripted_nodes_follow_their_keyframes() {
     for &node in &nodes {
         let arm = solids.rest[node] - DVec3::new(0.5, 0.5, 0.0);
         let exact = DVec3::new(1.0 - half_turn * arm.y, half_turn * arm.x, 0.0);
-        assert!(
-            DVec3::from(v[node]).distance(exact) < 1e-4,
-            "{:?} {exact}",
-            v[node]
-        );
+        assert!(DVec3::from(v[node]).distance(exact) < 1e-4, "{:?} {exact}", v[node]);
     }
     let dt = 0.125;
     for step in 0..20 {
@@ -625,11 +497,7 @@ fn scripted_nodes_follow_their_keyframes() {
             }
         }
     }
-    assert!(
-        (0..solids.rest.len())
-            .filter(|node| !held(node))
-            .all(|node| v[node] == [0.0; 3])
-    );
+    assert!((0..solids.rest.len()).filter(|node| !held(node)).all(|node| v[node] == [0.0; 3]));
 }
 
 /// The mean of the von Mises stress and the determinants are those of an affine stretch, in a placed and turned body too.
@@ -637,12 +505,8 @@ fn scripted_nodes_follow_their_keyframes() {
 fn elements_report_their_stress_and_determinant() {
     let mut solid = block([1.0; 3], [2, 2, 2]);
     solid.poisson = 0.0;
-    solid.placement = Placement {
-        translate: DVec3::splat(1.0),
-        rotate: DMat3::from_rotation_y(0.3),
-        scale: 0.5,
-        at: None,
-    };
+    solid.placement =
+        Placement { translate: DVec3::splat(1.0), rotate: DMat3::from_rotation_y(0.3), scale: 0.5, at: None };
     let solids = alone(solid);
     assert!((solids.volume.iter().sum::<f64>() - 0.125).abs() < 1e-15);
     let turn = DMat3::from_rotation_x(2.0);
@@ -661,15 +525,9 @@ fn elements_report_their_stress_and_determinant() {
 
 #[test]
 fn points_on_a_shape_are_inside() {
-    let sphere = Shape::Sphere {
-        centre: DVec3::splat(0.5),
-        radius: 0.75_f64.sqrt(),
-    };
+    let sphere = Shape::Sphere { centre: DVec3::splat(0.5), radius: 0.75_f64.sqrt() };
     let mut solid = block([1.0; 3], [1, 1, 1]);
-    solid.mesh = SolidMesh::Box {
-        size: DVec3::ONE,
-        cells: [2, 2, 2],
-    };
+    solid.mesh = SolidMesh::Box { size: DVec3::ONE, cells: [2, 2, 2] };
     solid.pins = vec![pin(sphere, [true; 3], Vec::new())];
     let solids = alone(solid);
     assert!(solids.prescribed.iter().all(|held| *held == [true; 3]));

@@ -29,12 +29,7 @@ impl Files {
     fn new(scene: &Scene, backend: Backend, step: u64) -> Files {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("new/system");
-        let options = Options {
-            backend,
-            step,
-            start: None,
-            out: out.clone(),
-        };
+        let options = Options { backend, step, start: None, out: out.clone() };
         let meta = export(scene, &options).unwrap();
         let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
         let banner = "%%MatrixMarket matrix coordinate real symmetric";
@@ -43,10 +38,7 @@ impl Files {
         let mut lines = cells.lines();
         assert_eq!(lines.next(), Some("row,i,j,k,x,y,z"));
         let cell = |(row, line): (usize, &str)| {
-            let fields: Vec<f64> = line
-                .split(',')
-                .map(|field| field.parse().unwrap())
-                .collect();
+            let fields: Vec<f64> = line.split(',').map(|field| field.parse().unwrap()).collect();
             assert_eq!(fields[0], (row + 1) as f64);
             let ijk: [usize; 3] = std::array::from_fn(|a| fields[1 + a] as usize);
             let x = scene.grid().cell_centre(ijk).to_array();
@@ -68,10 +60,7 @@ impl Files {
         let rows = 0..self.matrix.n_rows();
         let residual: Vec<f64> = rows
             .map(|row| {
-                let product = self
-                    .matrix
-                    .row(row)
-                    .map(|(at, value)| value * self.pressure[at]);
+                let product = self.matrix.row(row).map(|(at, value)| value * self.pressure[at]);
                 self.rhs[row] - product.sum::<f64>()
             })
             .collect();
@@ -80,16 +69,11 @@ impl Files {
 
     /// What must hold of every export.
     fn check(&self, scene: &Scene) {
-        let Files {
-            meta, matrix, json, ..
-        } = self;
+        let Files { meta, matrix, json, .. } = self;
         let n = meta.unknowns;
         assert!(n > 100);
         assert_eq!([matrix.n_rows(), matrix.n_columns()], [n; 2]);
-        assert_eq!(
-            [self.rhs.len(), self.pressure.len(), self.cells.len()],
-            [n; 3]
-        );
+        assert_eq!([self.rhs.len(), self.pressure.len(), self.cells.len()], [n; 3]);
         assert_eq!(matrix.n_entries(), meta.entries);
         for (row, column, value) in matrix.triplets() {
             assert_eq!(matrix.get(column, row), value);
@@ -101,18 +85,10 @@ impl Files {
         // B itself, of an inner cell without a wall or surface: dt dx / rho times 6, -1, ...
         let inner = (0..n).find(|&row| matrix.row(row).count() == 7).unwrap();
         let unit = meta.dt * meta.dx / json["density"].as_f64().unwrap();
-        let ratio = matrix
-            .row(inner)
-            .map(|(_, value)| value)
-            .fold(f64::INFINITY, f64::min)
-            / unit;
+        let ratio = matrix.row(inner).map(|(_, value)| value).fold(f64::INFINITY, f64::min) / unit;
         assert!(-1.0 - 1e-12 < ratio && ratio < 0.0, "{ratio}");
         let residual = self.residual();
-        assert!(
-            residual <= 1.1 * meta.residual + 1e-14,
-            "{residual} read, {} written",
-            meta.residual
-        );
+        assert!(residual <= 1.1 * meta.residual + 1e-14, "{residual} read, {} written", meta.residual);
         assert_eq!(meta.status, "converged");
         assert_eq!(json["unknowns"], n);
         assert_eq!(json["dt"], meta.dt);
@@ -139,12 +115,7 @@ fn a_sub_step_after_the_end_is_refused() {
     let mut backends = vec![Backend::Cpu];
     backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
     for backend in backends {
-        let options = Options {
-            backend,
-            step: 1000,
-            start: None,
-            out: folder.path().join("system"),
-        };
+        let options = Options { backend, step: 1000, start: None, out: folder.path().join("system") };
         let refused = export(&scene, &options).unwrap_err().to_string();
         assert_has(&refused, &["--step 1000", "the scene is over after"]);
         assert!(!options.out.exists());
@@ -176,12 +147,7 @@ fn an_export_replaces_all_of_an_earlier_one() {
     fs::write(&file, BOTH).unwrap();
     let both = Scene::load(&file, &[], 1.0).unwrap();
     let liquid = scene("dam_break_liquid", 0.25, &["time.duration=0.05"]);
-    let into = |out: &Path, step: u64| Options {
-        backend: Backend::Cpu,
-        step,
-        start: None,
-        out: out.to_owned(),
-    };
+    let into = |out: &Path, step: u64| Options { backend: Backend::Cpu, step, start: None, out: out.to_owned() };
     let same = folder.path().join("same");
     let mut left = Vec::new();
     // Each writes files that the next does not.
@@ -221,12 +187,7 @@ fn a_folder_of_something_else_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path();
         fs::write(out.join(name), text).unwrap();
-        let options = Options {
-            backend: Backend::Cpu,
-            step: 0,
-            start: None,
-            out: out.to_owned(),
-        };
+        let options = Options { backend: Backend::Cpu, step: 0, start: None, out: out.to_owned() };
         let error = export(&scene, &options).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
         let told = error.to_string();
@@ -241,10 +202,7 @@ fn the_gpu_path_exports_what_it_stored() {
     let Some(gpu) = gpu() else { return };
     // Rounding of the potential to f32, where the device has no f64.
     let rounded = if gpu.has_f64() { 0.0 } else { 1e-4 };
-    for scene in [
-        scene("dam_break_liquid", 0.25, &[]),
-        scene("hydrostatic_block", 0.5, &[]),
-    ] {
+    for scene in [scene("dam_break_liquid", 0.25, &[]), scene("hydrostatic_block", 0.5, &[])] {
         let files = Files::new(&scene, Backend::Gpu(AdapterChoice::Best), 1);
         files.check(&scene);
         let allowed = scene.solver.tolerance + rounded;
@@ -298,10 +256,7 @@ fn liquid_without_a_surface_is_singular_and_has_an_answer() {
 /// Two blocks, one of them damped and held by its low side, sheared by a start velocity.
 fn two_blocks() -> Scene {
     let mut low = block([0.4, 0.3, 0.2], [4, 3, 2]);
-    low.pins = vec![held(
-        region([0.0; 3], [0.001, 1.0, 1.0]),
-        [true, true, false],
-    )];
+    low.pins = vec![held(region([0.0; 3], [0.001, 1.0, 1.0]), [true, true, false])];
     low.placement.translate += glam::DVec3::new(0.0, 0.5, 0.5);
     (low.mass_damping, low.stiffness_damping) = (0.5, 0.01);
     low.initial.velocity = [0.0, 0.2, -0.1].into();
@@ -328,17 +283,11 @@ impl SolidFiles {
     fn new(scene: &Scene, backend: Backend, step: u64) -> SolidFiles {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().to_owned();
-        let options = Options {
-            backend,
-            step,
-            start: None,
-            out: out.clone(),
-        };
+        let options = Options { backend, step, start: None, out: out.clone() };
         let meta = export(scene, &options).unwrap();
         let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
         SolidFiles {
-            matrices: ["M.mtx", "K.mtx", "S.mtx", "spd.mtx"]
-                .map(|name| read_matrix(&out.join(name)).unwrap()),
+            matrices: ["M.mtx", "K.mtx", "S.mtx", "spd.mtx"].map(|name| read_matrix(&out.join(name)).unwrap()),
             rhs: read_vector(&out.join("spd_rhs.mtx")).unwrap(),
             velocity: read_vector(&out.join("solution.mtx")).unwrap(),
             nodes: text("nodes.csv"),
@@ -357,19 +306,12 @@ impl SolidFiles {
         }
         let (mut rows, mut total) = (vec![0; 3 * n], [0.0; 2]);
         let mut lines = self.nodes.lines();
-        assert_eq!(
-            lines.next(),
-            Some("node,solid,rest_x,rest_y,rest_z,row_x,row_y,row_z")
-        );
+        assert_eq!(lines.next(), Some("node,solid,rest_x,rest_y,rest_z,row_x,row_y,row_z"));
         let dt = self.meta.dt;
         for (node, line) in lines.enumerate() {
             let fields: Vec<&str> = line.split(',').collect();
             assert_eq!(fields[0], node.to_string());
-            let solid = scene
-                .solids
-                .iter()
-                .position(|s| s.name == fields[1])
-                .unwrap();
+            let solid = scene.solids.iter().position(|s| s.name == fields[1]).unwrap();
             total[solid] += mass.get(3 * node, 3 * node);
             let held = solid == 0 && fields[2].parse::<f64>().unwrap().abs() < 1e-9;
             let body = &scene.solids[solid];
@@ -384,10 +326,7 @@ impl SolidFiles {
                     let wanted = zeta_k * value + zeta_m * mass.get(component, column);
                     let found = all.get(component, column);
                     let size = all.get(component, component);
-                    assert!(
-                        (found - wanted).abs() <= 1e-6 * size,
-                        "{found}, wanted {wanted}"
-                    );
+                    assert!((found - wanted).abs() <= 1e-6 * size, "{found}, wanted {wanted}");
                 }
                 let size = stiffness.get(component, component);
                 assert!(
@@ -402,10 +341,7 @@ impl SolidFiles {
         // spd.mtx is S without the prescribed components.
         let unknowns: Vec<usize> = (0..3 * n).filter(|&at| rows[at] > 0).collect();
         assert_eq!(unknowns.len(), self.meta.unknowns);
-        assert_eq!(
-            [spd.n_rows(), self.rhs.len(), self.velocity.len()],
-            [unknowns.len(); 3]
-        );
+        assert_eq!([spd.n_rows(), self.rhs.len(), self.velocity.len()], [unknowns.len(); 3]);
         assert_eq!(spd.n_entries(), self.meta.entries);
         for (row, &component) in unknowns.iter().enumerate() {
             assert_eq!(rows[component], row + 1);
@@ -417,11 +353,7 @@ impl SolidFiles {
         let symbolic = SymbolicCholesky::new(spd).unwrap();
         let mut direct = self.rhs.clone();
         symbolic.factorise(spd).unwrap().solve(&mut direct);
-        let off: Vec<f64> = direct
-            .iter()
-            .zip(&self.velocity)
-            .map(|(a, b)| a - b)
-            .collect();
+        let off: Vec<f64> = direct.iter().zip(&self.velocity).map(|(a, b)| a - b).collect();
         assert!(norm(&off) <= 1e-6 * norm(&direct), "{} m/s", norm(&off));
         assert!(self.meta.residual <= 2.0 * scene.solver.tolerance + 100.0 * eps);
         let damped = &self.json["solids"][0];

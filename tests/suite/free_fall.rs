@@ -22,7 +22,8 @@ fn scene(frames_per_second: f64, rest: &str) -> Scene {
 }
 
 /// Volume control moves a drop's surface, not its centre.
-const DROP: &str = "[liquid]\nvolume_control = false\n[[liquid.region]]\nsphere = { centre = [0.3, 0.75, 0.3], radius = 0.15 }\n";
+const DROP: &str =
+    "[liquid]\nvolume_control = false\n[[liquid.region]]\nsphere = { centre = [0.3, 0.75, 0.3], radius = 0.15 }\n";
 const BLOCK: &str = "[[solid]]\nname = \"block\"\nmesh = { box = { size = [0.2, 0.2, 0.2], cells = [2, 2, 2] } }\n\
                      placement = { translate = [0.7, 0.75, 0.7] }\ndensity = 500\nyoung = 1e6\npoisson = 0.3\n";
 
@@ -79,10 +80,7 @@ fn each_falls_alone() {
     fall("a drop", &scene(8.0, DROP));
     fall("a block", &scene(8.0, BLOCK));
     let above = "[[obstacle]]\nbox = { min = [0, 0, 0], max = [1, 0.1, 1] }\n";
-    fall(
-        "a block above an obstacle",
-        &scene(8.0, &format!("{BLOCK}{above}")),
-    );
+    fall("a block above an obstacle", &scene(8.0, &format!("{BLOCK}{above}")));
 }
 
 /// Water at rest in a box, and a block at rest on the floor, do not fall.
@@ -108,24 +106,15 @@ fn gravity_over_time_is_integrated() {
     );
     let scene = Scene::parse("test.toml".as_ref(), &text, &[], 1.0).unwrap();
     // Constant, two ramps, nothing: m/s.
-    let speed =
-        DVec3::new(0.3, -0.6, 0.15) + DVec3::new(0.0, -0.6, 0.0) + DVec3::new(0.15, 0.0, 0.075);
+    let speed = DVec3::new(0.3, -0.6, 0.15) + DVec3::new(0.0, -0.6, 0.0) + DVec3::new(0.15, 0.0, 0.075);
     let mean = scene.domain.mean_gravity([0.0, TIME]);
     assert!((mean - speed / TIME).length() < 1e-12, "{mean}");
-    assert!(
-        (scene.domain.mean_gravity([0.0, 0.05]) - DVec3::new(0.0, -12.0, 0.0)).length() < 1e-12
-    );
+    assert!((scene.domain.mean_gravity([0.0, 0.05]) - DVec3::new(0.0, -12.0, 0.0)).length() < 1e-12);
     assert_eq!(scene.domain.mean_gravity([0.2, 0.3]), DVec3::ZERO);
     assert_eq!(scene.domain.gravity, DVec3::new(0.0, -12.0, 0.0));
     let strongest = scene.domain.strongest_gravity([0.175, 0.3]);
-    assert!(
-        (strongest - 0.5 * 45.0_f64.sqrt()).abs() < 1e-12,
-        "{strongest}"
-    );
-    assert_eq!(
-        scene.domain.strongest_gravity([0.14, 0.18]),
-        45.0_f64.sqrt()
-    );
+    assert!((strongest - 0.5 * 45.0_f64.sqrt()).abs() < 1e-12, "{strongest}");
+    assert_eq!(scene.domain.strongest_gravity([0.14, 0.18]), 45.0_f64.sqrt());
     assert_eq!(scene.domain.largest_gravity(), DVec3::new(6.0, 12.0, 3.0));
     // The way by quadrature.
     let n = 100_000;
@@ -155,8 +144,8 @@ fn gravity_over_time_is_integrated() {
         let end = simulation.state().unwrap();
         let name = backend.name();
         for node in 0..end.displacement.len() {
-            let [u, u_0, v] = [&end.displacement, &start.displacement, &end.node_velocity]
-                .map(|values| DVec3::from(values[node]));
+            let [u, u_0, v] =
+                [&end.displacement, &start.displacement, &end.node_velocity].map(|values| DVec3::from(values[node]));
             let off = (v - speed).length();
             assert!(off < 1e-5, "{name}: a node is {off} m/s off");
             let off = (u - u_0 - way).length();
@@ -197,11 +186,7 @@ fn loads_over_time_are_integrated() {
     let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
     for backend in device.iter().chain(&[Backend::Cpu]) {
         let mut simulation = Simulation::new(&scene, backend).unwrap();
-        assert_eq!(
-            simulation.solids().free_bodies().count(),
-            0,
-            "it has a load"
-        );
+        assert_eq!(simulation.solids().free_bodies().count(), 0, "it has a load");
         while simulation.clock().frame < scene.n_frames() {
             simulation.step().unwrap();
         }

@@ -26,9 +26,7 @@ const MEMORY: u64 = 3 << 20;
 const LITTLE_MEMORY: &str = "CUTWATER_LITTLE_MEMORY";
 
 fn corpus(target: &str) -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("fuzz/corpus")
-        .join(target);
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
     let entries = fs::read_dir(folder).unwrap();
     let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     files.sort();
@@ -48,9 +46,7 @@ fn is_soon(target: &str, bytes: &[u8]) -> bool {
 #[test]
 fn the_corpus_is_read() {
     if cfg!(unix) && std::env::var_os(LITTLE_MEMORY).is_none() {
-        let limited = format!(
-            "ulimit -v {MEMORY} && exec \"$0\" --exact fuzz::the_corpus_is_read --nocapture"
-        );
+        let limited = format!("ulimit -v {MEMORY} && exec \"$0\" --exact fuzz::the_corpus_is_read --nocapture");
         let output = Command::new("sh")
             .args(["-c", &limited])
             .arg(std::env::current_exe().unwrap())
@@ -58,8 +54,7 @@ fn the_corpus_is_read() {
             .env("RAYON_NUM_THREADS", "2")
             .output()
             .unwrap();
-        let text = [output.stdout, output.stderr]
-            .map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
         assert!(output.status.success(), "{}", text.join("\n"));
         assert!(text[0].contains("1 passed"), "{}", text.join("\n"));
         return;
@@ -135,16 +130,8 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>, other: &[u8]) {
     let (at, len) = (pick(random, bytes.len() + 1), pick(random, 16));
     let end = (at + len).min(bytes.len());
     match random.bits() % 9 {
-        0 => bytes
-            .iter_mut()
-            .skip(at)
-            .take(1)
-            .for_each(|byte| *byte ^= 1 << (len % 8)),
-        1 => bytes
-            .iter_mut()
-            .skip(at)
-            .take(1)
-            .for_each(|byte| *byte = random.bits() as u8),
+        0 => bytes.iter_mut().skip(at).take(1).for_each(|byte| *byte ^= 1 << (len % 8)),
+        1 => bytes.iter_mut().skip(at).take(1).for_each(|byte| *byte = random.bits() as u8),
         2 => drop(bytes.drain(at..end)),
         3 => {
             let part = bytes[at..end].to_vec();
@@ -157,26 +144,18 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>, other: &[u8]) {
         }
         6 => {
             // A number in its text.
-            let numbers: Vec<usize> = (0..bytes.len())
-                .filter(|&at| bytes[at].is_ascii_digit())
-                .collect();
+            let numbers: Vec<usize> = (0..bytes.len()).filter(|&at| bytes[at].is_ascii_digit()).collect();
             if !numbers.is_empty() {
                 let start = numbers[pick(random, numbers.len())];
                 let rest = bytes[start..].iter();
-                let n = rest
-                    .take_while(|byte| byte.is_ascii_digit() || b".e-".contains(byte))
-                    .count();
+                let n = rest.take_while(|byte| byte.is_ascii_digit() || b".e-".contains(byte)).count();
                 bytes.splice(start..start + n, WORDS[pick(random, 18)].bytes());
             }
         }
         7 => {
             // Four bytes of a count.
             let count = [0, 1, 0xff, 0x7f, 0x80][pick(random, 5)];
-            bytes
-                .iter_mut()
-                .skip(at)
-                .take(4)
-                .for_each(|byte| *byte = count);
+            bytes.iter_mut().skip(at).take(4).for_each(|byte| *byte = count);
         }
         _ => {
             let from = pick(random, other.len() + 1);
@@ -192,8 +171,7 @@ fn mutate(random: &mut Random, bytes: &mut Vec<u8>, other: &[u8]) {
 fn changed_files_are_read() {
     let variable = |name: &str| std::env::var(name).ok();
     let out = PathBuf::from(variable("FUZZ_OUT").unwrap_or_else(|| "fuzz/artifacts".to_owned()));
-    let number =
-        |name: &str, usual: u64| variable(name).map_or(usual, |text| text.parse().unwrap());
+    let number = |name: &str, usual: u64| variable(name).map_or(usual, |text| text.parse().unwrap());
     let limit = Duration::from_millis(number("FUZZ_MILLISECONDS", 500));
     let only = variable("FUZZ_TARGET");
     for target in TARGETS {
@@ -204,22 +182,12 @@ fn changed_files_are_read() {
 }
 
 fn change_and_read(target: &str, limit: Duration, mut random: Random, out: &Path) {
-    let mut pool: Vec<Vec<u8>> = corpus(target)
-        .iter()
-        .map(|file| fs::read(file).unwrap())
-        .collect();
+    let mut pool: Vec<Vec<u8>> = corpus(target).iter().map(|file| fs::read(file).unwrap()).collect();
     let words = |message: Option<String>| {
         let message = message.unwrap_or_default();
-        message
-            .chars()
-            .filter(|c| !c.is_ascii_digit())
-            .take(200)
-            .collect::<String>()
+        message.chars().filter(|c| !c.is_ascii_digit()).take(200).collect::<String>()
     };
-    let mut said: BTreeSet<String> = pool
-        .iter()
-        .map(|bytes| words(read(target, bytes)))
-        .collect();
+    let mut said: BTreeSet<String> = pool.iter().map(|bytes| words(read(target, bytes))).collect();
     let (clock, mut runs, mut slowest, mut broken) = (Instant::now(), 0u64, Duration::ZERO, 0);
     while clock.elapsed() < limit {
         let mut bytes = pool[random.bits() as usize % pool.len()].clone();

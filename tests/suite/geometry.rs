@@ -8,9 +8,7 @@ use cutwater::error::Error;
 use cutwater::geometry::{self, Clipping, CutCells, Regions, Surface, clip, open_fractions};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{Ballistic, advect_markers};
-use cutwater::scene::{
-    self, Keyframe, Liquid, Motion, Obstacle, Placement, Region, Scene, Shape, SolitaryWave,
-};
+use cutwater::scene::{self, Keyframe, Liquid, Motion, Obstacle, Placement, Region, Scene, Shape, SolitaryWave};
 use cutwater::state::State;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -58,19 +56,11 @@ fn liquid(shapes: &[Shape]) -> Liquid {
 }
 
 fn cuboid(min: [f64; 3], max: [f64; 3]) -> Shape {
-    Shape::Box {
-        min: DVec3::from_array(min),
-        max: DVec3::from_array(max),
-    }
+    Shape::Box { min: DVec3::from_array(min), max: DVec3::from_array(max) }
 }
 
 fn obstacle(shape: Shape) -> Obstacle {
-    Obstacle {
-        shape,
-        placement: Placement::default(),
-        inside_out: false,
-        motion: None,
-    }
+    Obstacle { shape, placement: Placement::default(), inside_out: false, motion: None }
 }
 
 fn all_open(grid: &Grid) -> CutCells {
@@ -84,15 +74,8 @@ fn all_open(grid: &Grid) -> CutCells {
 
 /// A convex surface of few triangles.
 fn tetrahedron(corners: [DVec3; 4]) -> Surface {
-    let surface = Surface {
-        vertices: corners.to_vec(),
-        triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]],
-    };
-    if surface.volume() < 0.0 {
-        surface.inside_out()
-    } else {
-        surface
-    }
+    let surface = Surface { vertices: corners.to_vec(), triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
+    if surface.volume() < 0.0 { surface.inside_out() } else { surface }
 }
 
 /// Convex bodies of every kind that has made trouble: turned, thin, across walls and corners, larger than the domain, far
@@ -102,64 +85,35 @@ fn convex_bodies(random: &mut Random) -> Vec<(String, Surface)> {
     for number in 0..6 {
         let turn = rotation(random);
         let middle = point(random, 0.35, 0.65);
-        let at =
-            |half: DVec3, middle: DVec3| Surface::cuboid(-half, half).map(|x| turn * x + middle);
+        let at = |half: DVec3, middle: DVec3| Surface::cuboid(-half, half).map(|x| turn * x + middle);
         let corner = DVec3::from_array([0; 3].map(|_| random.uniform(0.0, 2.0).floor()));
         let corners = [0; 4].map(|_| point(random, 0.05, 0.95));
         let half = point(random, 0.05, 0.15);
         bodies.extend([
             (format!("turned box {number}"), at(half, middle)),
-            (
-                format!("plate {number}"),
-                at(DVec3::new(0.3, 0.0005, 0.2), middle),
-            ),
-            (
-                format!("needle {number}"),
-                at(DVec3::new(1e-4, 0.3, 2e-4), middle),
-            ),
+            (format!("plate {number}"), at(DVec3::new(0.3, 0.0005, 0.2), middle)),
+            (format!("needle {number}"), at(DVec3::new(1e-4, 0.3, 2e-4), middle)),
             (format!("box at a corner {number}"), at(half, corner)),
-            (
-                format!("large plate {number}"),
-                at(DVec3::new(9.0, 0.1, 7.0), middle),
-            ),
-            (
-                format!("box around all {number}"),
-                at(DVec3::splat(3.0), middle),
-            ),
-            (
-                format!("box far away {number}"),
-                at(half, middle + 20.0 * corner),
-            ),
+            (format!("large plate {number}"), at(DVec3::new(9.0, 0.1, 7.0), middle)),
+            (format!("box around all {number}"), at(DVec3::splat(3.0), middle)),
+            (format!("box far away {number}"), at(half, middle + 20.0 * corner)),
             (format!("tetrahedron {number}"), tetrahedron(corners)),
-            (
-                format!("sphere {number}"),
-                Surface::sphere(point(random, 0.1, 0.9), 0.2, 1.0),
-            ),
-            (
-                format!("cylinder {number}"),
-                Surface::cylinder(middle, turn * DVec3::X, 0.1, 0.6, 1.0),
-            ),
+            (format!("sphere {number}"), Surface::sphere(point(random, 0.1, 0.9), 0.2, 1.0)),
+            (format!("cylinder {number}"), Surface::cylinder(middle, turn * DVec3::X, 0.1, 0.6, 1.0)),
         ]);
         // Whole and half numbers of cells of 1/8.
         let min = DVec3::from_array([0; 3].map(|_| random.uniform(-4.0, 10.0).floor() / 16.0));
         let max = min + DVec3::from_array([0; 3].map(|_| random.uniform(1.0, 12.0).floor() / 16.0));
-        bodies.push((
-            format!("box from {min} to {max}"),
-            Surface::cuboid(min, max),
-        ));
+        bodies.push((format!("box from {min} to {max}"), Surface::cuboid(min, max)));
     }
     let unit = Surface::cuboid(DVec3::ZERO, DVec3::ONE);
     let diagonal = DMat3::from_axis_angle(DVec3::Y, 0.25 * PI);
     bodies.extend([
         ("the domain".to_owned(), unit.clone()),
-        (
-            "the domain, almost on its planes".to_owned(),
-            unit.clone().map(|x| x * (1.0 + 1e-11) - 3e-12),
-        ),
+        ("the domain, almost on its planes".to_owned(), unit.clone().map(|x| x * (1.0 + 1e-11) - 3e-12)),
         (
             "edges on grid lines".to_owned(),
-            Surface::cuboid(DVec3::splat(-0.25), DVec3::splat(0.25))
-                .map(|x| diagonal * x * 2.0_f64.sqrt() + 0.5),
+            Surface::cuboid(DVec3::splat(-0.25), DVec3::splat(0.25)).map(|x| diagonal * x * 2.0_f64.sqrt() + 0.5),
         ),
     ]);
     bodies
@@ -172,12 +126,7 @@ fn covered(body: &Surface, grid: &Grid, axis: Axis, face: [usize; 3], slack: f64
     let [mut u, mut v] = [DVec3::ZERO; 2];
     u[(axis.index() + 1) % 3] = 0.5 * grid.dx;
     v[(axis.index() + 2) % 3] = 0.5 * grid.dx;
-    let mut polygon = vec![
-        centre - u - v,
-        centre + u - v,
-        centre + u + v,
-        centre - u + v,
-    ];
+    let mut polygon = vec![centre - u - v, centre + u - v, centre + u + v, centre - u + v];
     for triangle in 0..body.triangles.len() {
         let [a, b, c] = body.corners(triangle);
         let normal = (b - a).cross(c - a).normalize();
@@ -198,9 +147,7 @@ fn covered(body: &Surface, grid: &Grid, axis: Axis, face: [usize; 3], slack: f64
         }
     }
     let fan = polygon[1..].windows(2);
-    let area: DVec3 = fan
-        .map(|pair| 0.5 * (pair[0] - polygon[0]).cross(pair[1] - polygon[0]))
-        .sum();
+    let area: DVec3 = fan.map(|pair| 0.5 * (pair[0] - polygon[0]).cross(pair[1] - polygon[0])).sum();
     area.length() / (grid.dx * grid.dx)
 }
 
@@ -208,19 +155,12 @@ fn covered(body: &Surface, grid: &Grid, axis: Axis, face: [usize; 3], slack: f64
 fn open_fractions_equal_a_clip_of_the_faces() {
     let mut random = Random(11);
     // Not a cube, so that no axis can stand for another.
-    let grid = Grid {
-        cells: [8, 7, 6],
-        dx: 0.125,
-    };
+    let grid = Grid { cells: [8, 7, 6], dx: 0.125 };
     for (name, body) in convex_bodies(&mut random) {
         assert_eq!(body.fault(), None, "{name}");
         for (start, surface) in [(1.0, body.clone()), (0.0, body.clone().inside_out())] {
             let open = open_fractions(&grid, start, &[clip(&surface, &grid)]);
-            assert!(
-                open.closure_defect <= 1e-12,
-                "{name}, start {start}: a line ends {:e} off",
-                open.closure_defect
-            );
+            assert!(open.closure_defect <= 1e-12, "{name}, start {start}: a line ends {:e} off", open.closure_defect);
             for axis in Axis::ALL {
                 for (number, &open) in open.faces[axis.index()].iter().enumerate() {
                     let face = grid.face_at(axis, number);
@@ -254,8 +194,7 @@ fn cell_defect(grid: &Grid, open: &[Vec<f64>; 3], clippings: &[Clipping]) -> Vec
                 let minus = grid.cell_at(cell);
                 let mut plus = minus;
                 plus[axis.index()] += 1;
-                let [minus, plus] =
-                    [minus, plus].map(|face| open[axis.index()][grid.face(axis, face)]);
+                let [minus, plus] = [minus, plus].map(|face| open[axis.index()][grid.face(axis, face)]);
                 (plus - minus) * grid.dx * grid.dx
             }))
         })
@@ -269,10 +208,7 @@ fn cell_defect(grid: &Grid, open: &[Vec<f64>; 3], clippings: &[Clipping]) -> Vec
 #[test]
 fn patches_cover_the_surface_and_close_every_cell() {
     let mut random = Random(5);
-    let grid = Grid {
-        cells: [9, 8, 10],
-        dx: 0.1,
-    };
+    let grid = Grid { cells: [9, 8, 10], dx: 0.1 };
     let mut clippings = Vec::new();
     // Eight bodies in the domain, each in its own octant: their contributions add.
     for number in 0..8 {
@@ -295,11 +231,7 @@ fn patches_cover_the_surface_and_close_every_cell() {
         for patch in &clipping.patches {
             let corners = surface.corners(patch.triangle);
             let weights = patch.barycentric;
-            assert!(
-                weights
-                    .iter()
-                    .all(|weight| (-1e-9..=1.0 + 1e-9).contains(weight))
-            );
+            assert!(weights.iter().all(|weight| (-1e-9..=1.0 + 1e-9).contains(weight)));
             let centroid = (0..3).map(|c| weights[c] * corners[c]).sum::<DVec3>();
             assert!(centroid.distance(patch.centroid) < 1e-12, "{patch:?}");
             let middle = grid.cell_centre(grid.cell_at(patch.cell));
@@ -319,29 +251,19 @@ fn patches_cover_the_surface_and_close_every_cell() {
     }
     let open = open_fractions(&grid, 1.0, &clippings);
     assert!(open.closure_defect <= 1e-12);
-    let worst = cell_defect(&grid, &open.faces, &clippings)
-        .into_iter()
-        .map(DVec3::length)
-        .fold(0.0, f64::max);
+    let worst = cell_defect(&grid, &open.faces, &clippings).into_iter().map(DVec3::length).fold(0.0, f64::max);
     assert!(worst <= 1e-15 * grid.dx, "a cell opens by {worst:e} m^2");
 }
 
 #[test]
 fn a_patch_on_a_grid_plane_belongs_to_the_liquid_side() {
-    let grid = Grid {
-        cells: [4; 3],
-        dx: 0.25,
-    };
+    let grid = Grid { cells: [4; 3], dx: 0.25 };
     let block = Surface::cuboid(DVec3::splat(0.25), DVec3::splat(0.75));
     // The second differs by less than 1e-9 cells, in and out.
     let almost = block.clone().map(|x| x + (x - 0.45) * 4e-10);
     for block in [block, almost] {
         for inside_out in [false, true] {
-            let surface = if inside_out {
-                block.clone().inside_out()
-            } else {
-                block.clone()
-            };
+            let surface = if inside_out { block.clone().inside_out() } else { block.clone() };
             let clipping = clip(&surface, &grid);
             assert!((clipping.patches.iter().map(|p| p.area).sum::<f64>() - 1.5).abs() < 1e-8);
             for patch in &clipping.patches {
@@ -357,10 +279,7 @@ fn a_patch_on_a_grid_plane_belongs_to_the_liquid_side() {
 fn a_scene_without_obstacles_is_open_but_for_the_walls() {
     let scene = empty_scene([4, 3, 5]);
     let grid = scene.grid();
-    let CutCells {
-        open,
-        solid_distance,
-    } = geometry::cut_cells(&scene, &grid).unwrap();
+    let CutCells { open, solid_distance } = geometry::cut_cells(&scene, &grid).unwrap();
     for axis in Axis::ALL {
         for (number, &open) in open[axis.index()].iter().enumerate() {
             let at = grid.face_at(axis, number)[axis.index()];
@@ -377,17 +296,11 @@ fn obstacles_close_faces_add_up_and_are_clamped() {
     let grid = scene.grid();
     // A container, a block in it that hides 0.2 of some faces and less than the area clamp of others, and an overlap.
     scene.obstacles = vec![
-        Obstacle {
-            inside_out: true,
-            ..obstacle(cuboid([0.125; 3], [0.875; 3]))
-        },
+        Obstacle { inside_out: true, ..obstacle(cuboid([0.125; 3], [0.875; 3])) },
         obstacle(cuboid([0.25; 3], [0.4, 0.3750625, 0.5])),
         obstacle(cuboid([0.0; 3], [0.2; 3])),
     ];
-    let CutCells {
-        open,
-        solid_distance,
-    } = geometry::cut_cells(&scene, &grid).unwrap();
+    let CutCells { open, solid_distance } = geometry::cut_cells(&scene, &grid).unwrap();
     let at = |axis: Axis, face| open[axis.index()][grid.face(axis, face)];
     assert_eq!(at(Axis::X, [1, 4, 4]), 0.0);
     assert_eq!(at(Axis::X, [2, 4, 4]), 1.0);
@@ -412,10 +325,9 @@ fn tessellations_keep_volume_and_chord_error() {
         let sphere = Surface::sphere(centre, radius, dx);
         let axis = DVec3::new(1.0, 2.0, -0.5).normalize();
         let cylinder = Surface::cylinder(centre, axis, radius, 0.3, dx);
-        for (surface, volume, round) in [
-            (sphere, 4.0 / 3.0 * PI * radius.powi(3), true),
-            (cylinder, PI * radius * radius * 0.3, false),
-        ] {
+        for (surface, volume, round) in
+            [(sphere, 4.0 / 3.0 * PI * radius.powi(3), true), (cylinder, PI * radius * radius * 0.3, false)]
+        {
             assert_eq!(surface.fault(), None);
             assert!((surface.volume() / volume - 1.0).abs() < 1e-10);
             for triangle in 0..surface.triangles.len() {
@@ -430,11 +342,7 @@ fn tessellations_keep_volume_and_chord_error() {
                     } else {
                         let outside = (x - height * axis).length() - radius;
                         // On a cap, the middle of the disc counts as on it.
-                        if (height * (height - 0.3)).abs() < 1e-12 {
-                            outside.max(0.0)
-                        } else {
-                            outside
-                        }
+                        if (height * (height - 0.3)).abs() < 1e-12 { outside.max(0.0) } else { outside }
                     };
                     assert!(off.abs() <= 1e-3 * dx, "{off} at {x} of radius {radius}");
                 }
@@ -450,10 +358,7 @@ fn triangle_distance(x: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     let normal = (b - a).cross(c - a).normalize();
     let corners = [a, b, c];
     let edges = [(a, b), (b, c), (c, a)];
-    if edges
-        .iter()
-        .all(|(p, q)| (*q - *p).cross(x - *p).dot(normal) >= 0.0)
-    {
+    if edges.iter().all(|(p, q)| (*q - *p).cross(x - *p).dot(normal) >= 0.0) {
         return (x - corners[0]).dot(normal).abs();
     }
     edges
@@ -480,28 +385,14 @@ fn brute_force_distance(surface: &Surface, x: DVec3) -> f64 {
     let distance = (0..surface.triangles.len())
         .map(|triangle| triangle_distance(x, surface.corners(triangle)))
         .fold(f64::INFINITY, f64::min);
-    if winding(surface, x) > 0.5 {
-        -distance
-    } else {
-        distance
-    }
+    if winding(surface, x) > 0.5 { -distance } else { distance }
 }
 
 /// Two boxes joined to an L, 20 triangles with sharp inner and outer edges.
 fn l_shape() -> Surface {
-    let profile = [
-        [0.0, 0.0],
-        [0.5, 0.0],
-        [0.5, 0.15],
-        [0.15, 0.15],
-        [0.15, 0.6],
-        [0.0, 0.6],
-    ];
+    let profile = [[0.0, 0.0], [0.5, 0.0], [0.5, 0.15], [0.15, 0.15], [0.15, 0.6], [0.0, 0.6]];
     let n = profile.len() as u32;
-    let vertices = [0.0, 0.4]
-        .iter()
-        .flat_map(|&z| profile.map(|[x, y]| DVec3::new(x, y, z)))
-        .collect();
+    let vertices = [0.0, 0.4].iter().flat_map(|&z| profile.map(|[x, y]| DVec3::new(x, y, z))).collect();
     let ends = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]];
     let mut triangles: Vec<[u32; 3]> = Vec::new();
     for [a, b, c] in ends {
@@ -511,10 +402,7 @@ fn l_shape() -> Surface {
         let next = (here + 1) % n;
         triangles.extend([[here, next, next + n], [here, next + n, here + n]]);
     }
-    Surface {
-        vertices,
-        triangles,
-    }
+    Surface { vertices, triangles }
 }
 
 fn write_obj(file: &Path, surface: &Surface) {
@@ -552,50 +440,19 @@ fn obstacle_distance_equals_brute_force() {
         let l = l_shape();
         let [low, high] = l.bounds();
         let shapes = [
+            (Shape::Box { min, max }, Surface::cuboid(min, max), 0.5 * (min + max), 0.0),
+            (Shape::Sphere { centre, radius: 0.2 }, Surface::sphere(centre, 0.2, fine), centre, 1e-3 * fine),
             (
-                Shape::Box { min, max },
-                Surface::cuboid(min, max),
-                0.5 * (min + max),
-                0.0,
-            ),
-            (
-                Shape::Sphere {
-                    centre,
-                    radius: 0.2,
-                },
-                Surface::sphere(centre, 0.2, fine),
-                centre,
-                1e-3 * fine,
-            ),
-            (
-                Shape::Cylinder {
-                    base,
-                    axis,
-                    radius: 0.1,
-                    height: 0.3,
-                },
+                Shape::Cylinder { base, axis, radius: 0.1, height: 0.3 },
                 Surface::cylinder(base, axis, 0.1, 0.3, fine),
                 base + 0.15 * axis,
                 1e-3 * fine,
             ),
-            (
-                Shape::Mesh {
-                    file: file.clone().into(),
-                    unit: 1.0,
-                },
-                l,
-                0.5 * (low + high),
-                0.0,
-            ),
+            (Shape::Mesh { file: file.clone().into(), unit: 1.0 }, l, 0.5 * (low + high), 0.0),
         ];
         for (shape, surface, centre, chord_error) in shapes {
             let surface = surface.placed(&placement, centre);
-            scene.obstacles = vec![Obstacle {
-                shape: shape.clone(),
-                placement,
-                inside_out: number == 3,
-                motion: None,
-            }];
+            scene.obstacles = vec![Obstacle { shape: shape.clone(), placement, inside_out: number == 3, motion: None }];
             let cut_cells = geometry::cut_cells(&scene, &grid).unwrap();
             // A sample of cells, as the tessellations are fine.
             for cell in (0..grid.n_cells()).step_by(if chord_error > 0.0 { 61 } else { 1 }) {
@@ -623,33 +480,15 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
     let centre = 0.5 * (min + max);
     let lying = DVec3::new(0.125, 0.05, 0.075);
     let cuboid = |min, max| Shape::Box { min, max };
-    let rod = |base, axis, height| Shape::Cylinder {
-        base,
-        axis,
-        radius: 0.2,
-        height,
-    };
+    let rod = |base, axis, height| Shape::Cylinder { base, axis, radius: 0.2, height };
     let here = Placement::default();
-    let moved = Placement {
-        translate: -DVec3::X,
-        ..here
-    };
-    let turned = |scale| Placement {
-        rotate: DMat3::from_axis_angle(DVec3::Z, 0.5 * PI),
-        scale,
-        ..here
-    };
+    let moved = Placement { translate: -DVec3::X, ..here };
+    let turned = |scale| Placement { rotate: DMat3::from_axis_angle(DVec3::Z, 0.5 * PI), scale, ..here };
     let pillars = vec![
         (cuboid(min, max), here),
         (cuboid(min + DVec3::X, max + DVec3::X), moved),
         (cuboid(centre - lying, centre + lying), turned(2.0)),
-        (
-            Shape::Mesh {
-                file: file.into(),
-                unit: 1.0,
-            },
-            here,
-        ),
+        (Shape::Mesh { file: file.into(), unit: 1.0 }, here),
     ];
     let rods = vec![
         (rod(DVec3::new(1.0, 0.5, 0.5), -DVec3::X, 0.4), here),
@@ -658,21 +497,13 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
     let mut scene = empty_scene([16, 16, 16]);
     let grid = scene.grid();
     let mut distance = |shape: &Shape, placement: Placement, inside_out: bool| {
-        scene.obstacles = vec![Obstacle {
-            shape: shape.clone(),
-            placement,
-            inside_out,
-            motion: None,
-        }];
+        scene.obstacles = vec![Obstacle { shape: shape.clone(), placement, inside_out, motion: None }];
         geometry::cut_cells(&scene, &grid).unwrap().solid_distance
     };
-    for (bodies, beyond) in [
-        (&pillars, cuboid(min - 2.0 * DVec3::Y, max)),
-        (&rods, rod(DVec3::new(3.0, 0.5, 0.5), -DVec3::X, 2.4)),
-    ] {
-        for ((shape, placement), inside_out) in
-            bodies.iter().flat_map(|body| [(body, false), (body, true)])
-        {
+    for (bodies, beyond) in
+        [(&pillars, cuboid(min - 2.0 * DVec3::Y, max)), (&rods, rod(DVec3::new(3.0, 0.5, 0.5), -DVec3::X, 2.4))]
+    {
+        for ((shape, placement), inside_out) in bodies.iter().flat_map(|body| [(body, false), (body, true)]) {
             let expected = distance(&beyond, here, inside_out);
             let got = distance(shape, *placement, inside_out);
             for (cell, (got, expected)) in got.iter().zip(expected).enumerate() {
@@ -691,16 +522,7 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
         let deep = far_below(&grid);
         let surface = surface(&grid, &deep);
         let sides = Sides::default();
-        let (markers, _) = advect_markers(
-            &grid,
-            sides,
-            &still,
-            &distance,
-            &surface,
-            &Ballistic::NONE,
-            &[start],
-            0.01,
-        );
+        let (markers, _) = advect_markers(&grid, sides, &still, &distance, &surface, &Ballistic::NONE, &[start], 0.01);
         let [x, y, z] = markers[0];
         assert!(x < 0.4 && [y, z] == start[1..], "{shape:?}: {markers:?}");
     }
@@ -711,16 +533,8 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
 /// A unit cube in each format, as text or bytes.
 fn cubes() -> Vec<(&'static str, Vec<u8>)> {
     let cube = Surface::cuboid(DVec3::ZERO, DVec3::ONE);
-    let quads = [
-        [0, 4, 6, 2],
-        [1, 3, 7, 5],
-        [0, 1, 5, 4],
-        [2, 6, 7, 3],
-        [0, 2, 3, 1],
-        [4, 5, 7, 6],
-    ];
-    let mut obj =
-        String::from("# a cube of quads, one of them by negative numbers\nmtllib no.mtl\n");
+    let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let mut obj = String::from("# a cube of quads, one of them by negative numbers\nmtllib no.mtl\n");
     let mut ply = String::from(
         "ply\nformat ascii 1.0\ncomment a cube\nelement vertex 8\nproperty float x\nproperty double y\nproperty float z\n\
          element face 6\nproperty list uchar int vertex_indices\nend_header\n",
@@ -734,20 +548,16 @@ fn cubes() -> Vec<(&'static str, Vec<u8>)> {
         obj += &format!("f {}\n", quad.map(name).join(" "));
         ply += &format!("4 {}\n", quad.map(|v| v.to_string()).join(" "));
     }
-    let mut binary_ply = b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\n\
+    let mut binary_ply =
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 8\nproperty float x\nproperty float y\n\
         property float z\nelement face 12\nproperty list uchar uint vertex_index\nend_header\n"
-        .to_vec();
+            .to_vec();
     // A free header that begins like a text file: met in the wild.
     let mut binary_stl = b"solid exported".to_vec();
     binary_stl.resize(80, b' ');
     binary_stl.extend(12_u32.to_le_bytes());
     let mut stl = String::from("solid cube\n");
-    let bytes = |x: DVec3| {
-        x.as_vec3()
-            .to_array()
-            .into_iter()
-            .flat_map(f32::to_le_bytes)
-    };
+    let bytes = |x: DVec3| x.as_vec3().to_array().into_iter().flat_map(f32::to_le_bytes);
     for x in &cube.vertices {
         binary_ply.extend(bytes(*x));
     }
@@ -797,65 +607,25 @@ fn broken_mesh_files_are_refused_with_the_place_and_the_cure() {
     let without = |text: &str, line: &str| text.replacen(line, "", 1).into_bytes();
     let with = |text: &str, line: &str, other: &str| text.replacen(line, other, 1).into_bytes();
     let cases: Vec<(&str, Vec<u8>, &[&str])> = vec![
-        (
-            "obj",
-            with(&obj, "v 1 0 0", "v 1 zero 0"),
-            &["mesh.obj:4:", "position"],
-        ),
-        (
-            "obj",
-            with(&obj, "f 1 5 7 3", "f 1 5 700 3"),
-            &["mesh.obj:", "out of bounds"],
-        ),
+        ("obj", with(&obj, "v 1 0 0", "v 1 zero 0"), &["mesh.obj:4:", "position"]),
+        ("obj", with(&obj, "f 1 5 7 3", "f 1 5 700 3"), &["mesh.obj:", "out of bounds"]),
         (
             "obj",
             without(&obj, "f 1 5 7 3\n"),
-            &[
-                "not closed: the edge from [",
-                "belongs to triangle",
-                "fill the holes",
-            ],
+            &["not closed: the edge from [", "belongs to triangle", "fill the holes"],
         ),
-        (
-            "obj",
-            with(&obj, "f 1 5 7 3", "f 3 7 5 1"),
-            &["in the same direction", "consistent"],
-        ),
-        (
-            "obj",
-            with(&obj, "v 1 0 0", "v nan 0 0"),
-            &["triangle", "finite"],
-        ),
+        ("obj", with(&obj, "f 1 5 7 3", "f 3 7 5 1"), &["in the same direction", "consistent"]),
+        ("obj", with(&obj, "v 1 0 0", "v nan 0 0"), &["triangle", "finite"]),
         ("obj", Vec::new(), &["no triangles"]),
-        (
-            "stl",
-            with(&stl, "vertex 0 0 0", "vertex 0 0"),
-            &["mesh.stl:5:", "facet 1:", "export"],
-        ),
-        (
-            "stl",
-            with(&stl, "endloop", "endlop"),
-            &["facet 1:", "endlop"],
-        ),
+        ("stl", with(&stl, "vertex 0 0 0", "vertex 0 0"), &["mesh.stl:5:", "facet 1:", "export"]),
+        ("stl", with(&stl, "endloop", "endlop"), &["facet 1:", "endlop"]),
         ("stl", cut(2, 25), &["facet 12", "export"]),
         ("stl", b"nothing".to_vec(), &["mesh.stl", "not an STL file"]),
         ("ply", with(&ply, "\n1 0 0\n", "\n1 0\n"), &["mesh.ply:12:"]),
-        (
-            "ply",
-            with(&ply, "property double y", "property double w"),
-            &["vertex 1:", "`y`"],
-        ),
-        (
-            "ply",
-            with(&ply, "4 0 4 6 2", "4 0 4 6 99"),
-            &["face 1: vertex 99", "8"],
-        ),
+        ("ply", with(&ply, "property double y", "property double w"), &["vertex 1:", "`y`"]),
+        ("ply", with(&ply, "4 0 4 6 2", "4 0 4 6 99"), &["face 1: vertex 99", "8"]),
         ("ply", cut(4, 2), &["mesh.ply"]),
-        (
-            "fbx",
-            Vec::new(),
-            &["unknown kind", ".obj, .stl, .ply, .glb or .gltf"],
-        ),
+        ("fbx", Vec::new(), &["unknown kind", ".obj, .stl, .ply, .glb or .gltf"]),
     ];
     for (extension, bytes, expected) in cases {
         let file = folder.path().join(format!("mesh.{extension}"));
@@ -879,11 +649,9 @@ fn surface_files_cut_off_or_with_huge_counts_are_refused() {
         for length in 0..whole.len() {
             match read(&whole[..length]) {
                 // Only line ends and the name behind `endsolid` may be missing.
-                Ok(cut) => assert!(
-                    cut == sound && whole.len() - length < 8,
-                    "{extension} cut at {length} of {}",
-                    whole.len()
-                ),
+                Ok(cut) => {
+                    assert!(cut == sound && whole.len() - length < 8, "{extension} cut at {length} of {}", whole.len())
+                }
                 Err(error) => assert_eq!(error.exit_code(), 2),
             }
         }
@@ -905,18 +673,14 @@ fn surfaces_that_bound_nothing_are_refused() {
     assert_eq!(cube.fault(), None);
     let problem = |surface: Surface| surface.fault().expect("a fault").problem;
     let inverted = problem(cube.clone().inside_out());
-    assert!(
-        inverted.contains("inverted") && inverted.contains("edge"),
-        "{inverted}"
-    );
+    assert!(inverted.contains("inverted") && inverted.contains("edge"), "{inverted}");
     let mut flat = cube.clone();
     flat.vertices[1] = flat.vertices[0];
     assert!(problem(flat).contains("has no area"));
     // Two cubes that share an edge: four triangles there.
     let mut pair = cube.clone();
     let other = cube.map(|x| x + DVec3::new(1.0, 1.0, 0.0));
-    pair.triangles
-        .extend(other.triangles.iter().map(|t| t.map(|v| v + 8)));
+    pair.triangles.extend(other.triangles.iter().map(|t| t.map(|v| v + 8)));
     pair.vertices.extend(other.vertices);
     assert!(problem(pair.welded()).contains("same direction"));
 }
@@ -928,8 +692,7 @@ fn parts_that_bound_no_solid_together_are_refused() {
         let mut all = Surface::default();
         for part in parts {
             let first = all.vertices.len() as u32;
-            all.triangles
-                .extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
+            all.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
             all.vertices.extend(&part.vertices);
         }
         all.map(|x| DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7) * x)
@@ -943,42 +706,22 @@ fn parts_that_bound_no_solid_together_are_refused() {
         ("apart", vec![unit.clone(), far.clone()]),
         ("a hole", vec![unit.clone(), hole.clone(), far.clone()]),
         ("a hole first", vec![hole.clone(), unit.clone()]),
-        (
-            "an island in a hole",
-            vec![unit.clone(), hole.clone(), innermost.clone()],
-        ),
+        ("an island in a hole", vec![unit.clone(), hole.clone(), innermost.clone()]),
     ] {
         assert_eq!(join(&sound).fault(), None, "{name}");
     }
     // Two bars that cross have no corner in each other.
-    let bars = [
-        block([-1.0, 0.3, 0.3], [2.0, 0.7, 0.7]),
-        block([0.3, -1.0, 0.2], [0.7, 2.0, 0.8]),
-    ];
+    let bars = [block([-1.0, 0.3, 0.3], [2.0, 0.7, 0.7]), block([0.3, -1.0, 0.2], [0.7, 2.0, 0.8])];
     for (parts, expected) in [
         (bars.to_vec(), "overlap or touch"),
-        (
-            vec![unit.clone(), unit.clone().map(|x| x + 0.5)],
-            "overlap or touch",
-        ),
+        (vec![unit.clone(), unit.clone().map(|x| x + 0.5)], "overlap or touch"),
         (vec![unit.clone(), inner.clone()], "lies inside another"),
         (
-            vec![
-                unit.clone(),
-                hole.clone(),
-                innermost.clone(),
-                innermost.clone().map(|x| 0.5 + 0.5 * (x - 0.5)),
-            ],
+            vec![unit.clone(), hole.clone(), innermost.clone(), innermost.clone().map(|x| 0.5 + 0.5 * (x - 0.5))],
             "lies inside another",
         ),
-        (
-            vec![unit.clone(), far.map(|x| 0.5 * x + DVec3::X).inside_out()],
-            "inverted",
-        ),
-        (
-            vec![unit, hole, innermost.inside_out()],
-            "no hole in another part",
-        ),
+        (vec![unit.clone(), far.map(|x| 0.5 * x + DVec3::X).inside_out()], "inverted"),
+        (vec![unit, hole, innermost.inside_out()], "no hole in another part"),
     ] {
         let fault = join(&parts).fault().expect("a fault");
         assert!(fault.problem.contains(expected), "{fault:?}");
@@ -999,18 +742,8 @@ fn a_mesh_cuts_like_the_shape_it_draws() {
     };
     let mut scene = empty_scene([10; 3]);
     let grid = scene.grid();
-    let [mesh, shape] = [
-        Shape::Mesh {
-            file: file.into(),
-            unit: 1.0,
-        },
-        Shape::Box { min, max },
-    ]
-    .map(|shape| {
-        scene.obstacles = vec![Obstacle {
-            placement,
-            ..obstacle(shape)
-        }];
+    let [mesh, shape] = [Shape::Mesh { file: file.into(), unit: 1.0 }, Shape::Box { min, max }].map(|shape| {
+        scene.obstacles = vec![Obstacle { placement, ..obstacle(shape) }];
         geometry::cut_cells(&scene, &grid).unwrap()
     });
     let fields = |cut_cells: CutCells| {
@@ -1029,34 +762,16 @@ fn a_mesh_cuts_like_the_shape_it_draws() {
 fn region_distances_are_exact() {
     let tilted = DVec3::new(1.0, 2.0, 2.0) / 3.0;
     let [k, amplitude] = [2.0 * PI, 0.05];
-    let mut pool = liquid(&[
-        cuboid([0.0; 3], [1.0, 0.4, 1.0]),
-        Shape::Sphere {
-            centre: DVec3::new(0.5, 0.8, 0.5),
-            radius: 0.1,
-        },
-    ]);
+    let mut pool =
+        liquid(&[cuboid([0.0; 3], [1.0, 0.4, 1.0]), Shape::Sphere { centre: DVec3::new(0.5, 0.8, 0.5), radius: 0.1 }]);
     pool.regions.push(Region {
-        shape: Shape::Cylinder {
-            base: DVec3::new(0.5, 0.0, 0.5),
-            axis: DVec3::Y,
-            radius: 0.2,
-            height: 1.0,
-        },
+        shape: Shape::Cylinder { base: DVec3::new(0.5, 0.0, 0.5), axis: DVec3::Y, radius: 0.2, height: 1.0 },
         placement: Placement::default(),
         subtract: true,
         velocity: DVec3::ZERO,
     });
-    let half_space = liquid(&[Shape::HalfSpace {
-        point: DVec3::splat(0.5),
-        normal: tilted,
-    }]);
-    let wave = liquid(&[Shape::Wave {
-        level: 0.5,
-        amplitude,
-        wave_number: [k, 0.0],
-        phase: 0.3,
-    }]);
+    let half_space = liquid(&[Shape::HalfSpace { point: DVec3::splat(0.5), normal: tilted }]);
+    let wave = liquid(&[Shape::Wave { level: 0.5, amplitude, wave_number: [k, 0.0], phase: 0.3 }]);
     let cases = [
         // Above the box, past its edge, in it, near the cylinder that is taken away, in the ball that it takes away.
         (&pool, [0.1, 0.6, 0.5], 0.2),
@@ -1068,13 +783,8 @@ fn region_distances_are_exact() {
         (&half_space, [0.2, 0.5, 0.5], -0.1),
     ];
     for (liquid, x, expected) in cases {
-        let got = Regions::new(liquid, DVec3::ONE, str::to_owned)
-            .unwrap()
-            .distance(DVec3::from_array(x));
-        assert!(
-            (got - expected).abs() < 1e-15,
-            "{x:?}: {got}, expected {expected}"
-        );
+        let got = Regions::new(liquid, DVec3::ONE, str::to_owned).unwrap().distance(DVec3::from_array(x));
+        assert!((got - expected).abs() < 1e-15, "{x:?}: {got}, expected {expected}");
     }
     // Near its surface the wave's distance is right to second order in the distance.
     let regions = Regions::new(&wave, DVec3::ONE, str::to_owned).unwrap();
@@ -1101,16 +811,9 @@ fn a_solitary_wave_is_one_to_third_order() {
         let direction = [0.6, -0.8];
         let way = DVec3::new(direction[0], 0.0, direction[1]);
         let crest = [0.7, -0.2];
-        let wave = liquid(&[Shape::Solitary(SolitaryWave {
-            depth,
-            height: e * depth,
-            crest,
-            direction,
-            gravity,
-        })]);
+        let wave = liquid(&[Shape::Solitary(SolitaryWave { depth, height: e * depth, crest, direction, gravity })]);
         let regions = Regions::new(&wave, DVec3::ONE, str::to_owned).unwrap();
-        let at =
-            |x: f64, z: f64| DVec3::new(crest[0], 0.0, crest[1]) + depth * (x * way + z * DVec3::Y);
+        let at = |x: f64, z: f64| DVec3::new(crest[0], 0.0, crest[1]) + depth * (x * way + z * DVec3::Y);
         let velocity = |x: f64, z: f64| {
             let velocity = regions.velocity(at(x, z)).unwrap();
             assert!(velocity.dot(DVec3::new(-way.z, 0.0, way.x)).abs() < 1e-15);
@@ -1142,22 +845,16 @@ fn a_solitary_wave_is_one_to_third_order() {
             let slope = (surface(x + d) - surface(x - d)) / (2.0 * d);
             let [u, w] = velocity(x, height - 1e-9);
             let through = (u - speed) * slope - w;
-            let bernoulli =
-                0.5 * ((u - speed).powi(2) + w * w) + height - 1.0 - 0.5 * speed * speed;
+            let bernoulli = 0.5 * ((u - speed).powi(2) + w * w) + height - 1.0 - 0.5 * speed * speed;
             on = [on[0].max(through.abs()), on[1].max(bernoulli.abs())];
         }
         [within[0], within[1], on[0], on[1]]
     };
     let [high, low] = [residuals(0.2), residuals(0.1)];
-    for (what, (high, low)) in ["divergence", "curl", "through", "Bernoulli"]
-        .into_iter()
-        .zip(high.into_iter().zip(low))
+    for (what, (high, low)) in ["divergence", "curl", "through", "Bernoulli"].into_iter().zip(high.into_iter().zip(low))
     {
         let order = (high / low).log2();
-        assert!(
-            high < 0.01 && order > 3.6,
-            "{what}: {high:e}, {low:e}, order {order}"
-        );
+        assert!(high < 0.01 && order > 3.6, "{what}: {high:e}, {low:e}, order {order}");
     }
 }
 
@@ -1166,12 +863,7 @@ fn sides_on_walls_are_no_free_surface() {
     let mut scene = empty_scene([8, 8, 6]);
     let grid = scene.grid();
     let level = 0.53;
-    let upright = Shape::Cylinder {
-        base: DVec3::new(0.5, 0.0, 0.375),
-        axis: DVec3::Y,
-        radius: 0.2,
-        height: level,
-    };
+    let upright = Shape::Cylinder { base: DVec3::new(0.5, 0.0, 0.375), axis: DVec3::Y, radius: 0.2, height: level };
     let pool = cuboid([0.0; 3], [1.0, level, 0.75]);
     for (shape, top_only) in [(pool, true), (upright, false)] {
         scene.liquid = Some(liquid(&[shape]));
@@ -1201,9 +893,8 @@ fn sphere_volume(grid: &Grid, cut_cells: &CutCells, markers: &[[f64; 3]], radius
     let mut nearest = vec![2.0 * dx; grid.n_cells()];
     let mut occupied = vec![false; grid.n_cells()];
     let steps = || -2..=2_isize;
-    let around: Vec<[isize; 3]> = steps()
-        .flat_map(|k| steps().flat_map(move |j| steps().map(move |i| [i, j, k])))
-        .collect();
+    let around: Vec<[isize; 3]> =
+        steps().flat_map(|k| steps().flat_map(move |j| steps().map(move |i| [i, j, k]))).collect();
     let shifted = |at: [isize; 3], step: &[isize; 3]| {
         let at = [at[0] + step[0], at[1] + step[1], at[2] + step[2]];
         let inside = (0..3).all(|a| (0..n[a]).contains(&at[a]));
@@ -1225,11 +916,7 @@ fn sphere_volume(grid: &Grid, cut_cells: &CutCells, markers: &[[f64; 3]], radius
             .filter(|step| step.iter().all(|c| c.abs() <= 1))
             .filter_map(|step| shifted(at, step))
             .all(|cell| occupied[cell] || solid(cell));
-        let phi = if interior {
-            -dx
-        } else {
-            nearest[cell] - radius * dx
-        };
+        let phi = if interior { -dx } else { nearest[cell] - radius * dx };
         geometry::open_volume(cut_cells.solid_distance[cell], dx) * (0.5 - phi / dx).clamp(0.0, 1.0)
     });
     volume.sum::<f64>() * dx.powi(3)
@@ -1240,49 +927,20 @@ fn seeded_volume_is_within_one_percent() {
     let mut scene = empty_scene([32; 3]);
     let grid = scene.grid();
     let ball = |radius: f64| 4.0 / 3.0 * PI * radius.powi(3);
-    let sphere = |centre: [f64; 3], radius| Shape::Sphere {
-        centre: DVec3::from_array(centre),
-        radius,
-    };
-    let column = obstacle(Shape::Cylinder {
-        base: DVec3::new(0.5, 0.0, 0.5),
-        axis: DVec3::Y,
-        radius: 0.2,
-        height: 1.0,
-    });
-    let half_full = Obstacle {
-        inside_out: true,
-        ..obstacle(sphere([0.5; 3], 0.45))
-    };
+    let sphere = |centre: [f64; 3], radius| Shape::Sphere { centre: DVec3::from_array(centre), radius };
+    let column =
+        obstacle(Shape::Cylinder { base: DVec3::new(0.5, 0.0, 0.5), axis: DVec3::Y, radius: 0.2, height: 1.0 });
+    let half_full = Obstacle { inside_out: true, ..obstacle(sphere([0.5; 3], 0.45)) };
     // Levels on and off the grid, boxes at one, two and three walls, a drop, boxes that touch inside a cell, an obstacle
     // through the surface, a container.
     let cases = [
         (vec![cuboid([0.0; 3], [1.0, 0.5, 1.0])], vec![], 0.5),
         (vec![cuboid([0.0; 3], [1.0, 0.26, 1.0])], vec![], 0.26),
         (vec![cuboid([0.0; 3], [0.3, 0.61, 1.0])], vec![], 0.3 * 0.61),
-        (
-            vec![sphere([0.513, 0.507, 0.491], 0.15)],
-            vec![],
-            ball(0.15),
-        ),
-        (
-            vec![
-                cuboid([0.0; 3], [0.31, 0.4, 1.0]),
-                cuboid([0.31, 0.0, 0.0], [1.0, 0.4, 1.0]),
-            ],
-            vec![],
-            0.4,
-        ),
-        (
-            vec![cuboid([0.0; 3], [1.0, 0.43, 1.0])],
-            vec![column],
-            0.43 * (1.0 - PI * 0.04),
-        ),
-        (
-            vec![cuboid([0.0; 3], [1.0, 0.5, 1.0])],
-            vec![half_full],
-            0.5 * ball(0.45),
-        ),
+        (vec![sphere([0.513, 0.507, 0.491], 0.15)], vec![], ball(0.15)),
+        (vec![cuboid([0.0; 3], [0.31, 0.4, 1.0]), cuboid([0.31, 0.0, 0.0], [1.0, 0.4, 1.0])], vec![], 0.4),
+        (vec![cuboid([0.0; 3], [1.0, 0.43, 1.0])], vec![column], 0.43 * (1.0 - PI * 0.04)),
+        (vec![cuboid([0.0; 3], [1.0, 0.5, 1.0])], vec![half_full], 0.5 * ball(0.45)),
     ];
     for (shapes, obstacles, exact) in cases {
         scene.liquid = Some(liquid(&shapes));
@@ -1301,10 +959,7 @@ fn seeding_is_repeatable_and_fits_f32() {
     let grid = scene.grid();
     let whole = DVec3::from_array(grid.size().to_array());
     let mut seeded = |seed| {
-        scene.liquid = Some(Liquid {
-            seed,
-            ..liquid(&[cuboid([0.0; 3], whole.to_array())])
-        });
+        scene.liquid = Some(Liquid { seed, ..liquid(&[cuboid([0.0; 3], whole.to_array())]) });
         geometry::seed_markers(&scene, &grid, &all_open(&grid)).unwrap()
     };
     let markers = seeded(4);
@@ -1339,13 +994,8 @@ fn markers_keep_their_depth_below_air_only() {
     scene.liquid = Some(liquid(&[cuboid([0.0; 3], [1.0, 0.5, 1.0])]));
     let cut_cells = geometry::cut_cells(&scene, &grid).unwrap();
     let markers = geometry::seed_markers(&scene, &grid, &cut_cells).unwrap();
-    let highest = |low: f64, high: f64| {
-        markers
-            .iter()
-            .filter(|m| (low..high).contains(&m[0]))
-            .map(|m| m[1])
-            .fold(0.0, f64::max)
-    };
+    let highest =
+        |low: f64, high: f64| markers.iter().filter(|m| (low..high).contains(&m[0])).map(|m| m[1]).fold(0.0, f64::max);
     // Up to the plate on the left, 0.67 dx below the air on the right, in between it depends.
     assert!(highest(0.0, 0.45) > 0.5 - 0.05 * grid.dx);
     let depth = (0.5 - highest(0.55, 1.0)) / grid.dx;
@@ -1357,10 +1007,7 @@ fn first_state_has_the_velocity_of_the_regions() {
     let mut scene = empty_scene([8; 3]);
     let grid = scene.grid();
     let drop = DVec3::new(0.1, -2.0, 0.3);
-    let mut both = liquid(&[
-        cuboid([0.0; 3], [1.0, 0.25, 1.0]),
-        cuboid([0.25, 0.5, 0.25], [0.75, 0.9, 0.75]),
-    ]);
+    let mut both = liquid(&[cuboid([0.0; 3], [1.0, 0.25, 1.0]), cuboid([0.25, 0.5, 0.25], [0.75, 0.9, 0.75])]);
     both.regions[1].velocity = drop;
     scene.liquid = Some(both);
     let cut_cells = geometry::cut_cells(&scene, &grid).unwrap();
@@ -1369,10 +1016,7 @@ fn first_state_has_the_velocity_of_the_regions() {
     let v = |face| state.velocity[1][grid.face(Axis::Y, face)];
     assert_eq!(v([4, 5, 4]), drop.y);
     // Beside a cell of the drop; as far from it as from the pool, so the last region's; the pool's; beyond two cells.
-    assert_eq!(
-        [v([4, 4, 4]), v([4, 3, 4]), v([4, 2, 4]), v([0, 7, 0])],
-        [drop.y, drop.y, 0.0, 0.0]
-    );
+    assert_eq!([v([4, 4, 4]), v([4, 3, 4]), v([4, 2, 4]), v([0, 7, 0])], [drop.y, drop.y, 0.0, 0.0]);
     assert_eq!(state.velocity[0][grid.face(Axis::X, [2, 5, 4])], drop.x);
     // A cell outside the drop; on a wall, as near.
     let w = |face| state.velocity[2][grid.face(Axis::Z, face)];
@@ -1381,10 +1025,7 @@ fn first_state_has_the_velocity_of_the_regions() {
     scene.liquid.as_mut().unwrap().surface = scene::Surface::Fixed;
     let state = geometry::initial_state(&scene, &grid, &cut_cells).unwrap();
     assert!(state.markers.is_empty());
-    assert_eq!(
-        state.liquid_distance,
-        geometry::liquid_distance(&scene, &grid).unwrap()
-    );
+    assert_eq!(state.liquid_distance, geometry::liquid_distance(&scene, &grid).unwrap());
     scene.liquid = None;
     let state = geometry::initial_state(&scene, &grid, &cut_cells).unwrap();
     assert!(state.markers.is_empty() && state.liquid_distance.iter().all(|&phi| phi > 0.0));
@@ -1397,11 +1038,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 0.7);
     let obstacle = |shape: Shape, inside_out: bool| Obstacle {
         shape,
-        placement: Placement {
-            rotate: turn,
-            scale: 0.5,
-            ..Placement::default()
-        },
+        placement: Placement { rotate: turn, scale: 0.5, ..Placement::default() },
         inside_out,
         motion: None,
     };
@@ -1413,28 +1050,17 @@ fn obstacles_thinner_than_a_cell_are_found() {
         let (min, max) = block(thickness);
         let file = folder.path().join(name);
         fs::write(&file, obj_text(&Surface::cuboid(min, max))).unwrap();
-        Shape::Mesh {
-            file: file.into(),
-            unit: 1.0,
-        }
+        Shape::Mesh { file: file.into(), unit: 1.0 }
     };
     let cuboid = |thickness: f64| {
         let (min, max) = block(thickness);
         Shape::Box { min, max }
     };
-    let disc = |height: f64| Shape::Cylinder {
-        base: DVec3::splat(0.5),
-        axis: DVec3::Z,
-        radius: 0.2,
-        height,
-    };
+    let disc = |height: f64| Shape::Cylinder { base: DVec3::splat(0.5), axis: DVec3::Z, radius: 0.2, height };
     // Nothing gets through it.
     let on_floor = |shape: Shape| Obstacle {
         shape,
-        placement: Placement {
-            translate: DVec3::new(0.0, 0.5 * 0.0375 - 0.5, 0.0),
-            ..Placement::default()
-        },
+        placement: Placement { translate: DVec3::new(0.0, 0.5 * 0.0375 - 0.5, 0.0), ..Placement::default() },
         inside_out: false,
         motion: None,
     };
@@ -1467,16 +1093,8 @@ fn obstacles_thinner_than_a_cell_are_found() {
 
     // A wall along the axes holds from one cell on; turned by an angle a about one of them, from cos a + sin a on.
     let plate = |cells: f64, degrees: f64, shape: &dyn Fn(f64) -> Shape, motion: Option<Motion>| {
-        let placement = Placement {
-            rotate: DMat3::from_rotation_z(degrees.to_radians()),
-            ..Placement::default()
-        };
-        Obstacle {
-            shape: shape(cells / 16.0),
-            placement,
-            inside_out: false,
-            motion,
-        }
+        let placement = Placement { rotate: DMat3::from_rotation_z(degrees.to_radians()), ..Placement::default() };
+        Obstacle { shape: shape(cells / 16.0), placement, inside_out: false, motion }
     };
     let tipping = |degrees: f64, start: f64| {
         let frame = |time: f64, degrees: f64| Keyframe {
@@ -1486,11 +1104,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
             angle: degrees.to_radians(),
         };
         Some(Motion {
-            keyframes: vec![
-                frame(start, 0.0),
-                frame(start + 0.5, degrees),
-                frame(start + 1.0, 0.0),
-            ],
+            keyframes: vec![frame(start, 0.0), frame(start + 0.5, degrees), frame(start + 1.0, 0.0)],
             pivot: None,
         })
     };
@@ -1534,9 +1148,7 @@ fn tips_and_edges_are_no_thin_walls() {
         surface.vertices = vec![middle, middle + height / 40.0 * DVec3::Y];
         for i in 0..sides {
             let (sin, cos) = (2.0 * PI * (i as f64 + 0.1) / sides as f64).sin_cos();
-            surface
-                .vertices
-                .push(middle + half / 40.0 * DVec3::new(cos, 0.0, sin));
+            surface.vertices.push(middle + half / 40.0 * DVec3::new(cos, 0.0, sin));
             let (rim, next) = (2 + i as u32, 2 + ((i + 1) % sides) as u32);
             surface.triangles.extend([[0, rim, next], [1, next, rim]]);
         }
@@ -1551,27 +1163,16 @@ fn tips_and_edges_are_no_thin_walls() {
         let file = folder.path().join(name);
         fs::write(&file, obj_text(&fine)).unwrap();
         scene.obstacles = vec![Obstacle {
-            shape: Shape::Mesh {
-                file: file.into(),
-                unit: 1.0,
-            },
+            shape: Shape::Mesh { file: file.into(), unit: 1.0 },
             placement: Placement::default(),
             inside_out: false,
             motion: None,
         }];
         geometry::thin_obstacles(&scene, &scene.grid()).unwrap()
     };
-    for (sides, half, height) in [
-        (24, 8.0, 16.0),
-        (24, 8.0, 8.0),
-        (4, 6.0, 12.0),
-        (3, 8.0, 16.0),
-    ] {
+    for (sides, half, height) in [(24, 8.0, 16.0), (24, 8.0, 8.0), (4, 6.0, 12.0), (3, 8.0, 16.0)] {
         let found = thin("cone.obj", &cone(sides, half, height));
-        assert!(
-            found.is_empty(),
-            "{sides} sides, {half}, {height}: {found:?}"
-        );
+        assert!(found.is_empty(), "{sides} sides, {half}, {height}: {found:?}");
     }
     let middle = DVec3::splat(0.5);
     let block = |x: f64, y: f64, z: f64| {

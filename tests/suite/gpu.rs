@@ -2,8 +2,8 @@
 
 use cutwater::Error;
 use cutwater::gpu::{
-    AdapterChoice, Buffer, CompactKernels, Compaction, Entries, Gpu, Kernel, Real, RealBuffer,
-    Recorder, SPLIT, Sort, SortKernels, Source, TILE, WG_SIZE, compose, groups, validate,
+    AdapterChoice, Buffer, CompactKernels, Compaction, Entries, Gpu, Kernel, Real, RealBuffer, Recorder, SPLIT, Sort,
+    SortKernels, Source, TILE, WG_SIZE, compose, groups, validate,
 };
 
 use crate::common::{Random, SKIPPED, gpu};
@@ -14,8 +14,7 @@ fn compact(gpu: &Gpu, flags: &[u32], first: usize, n: usize) -> (Vec<u32>, Vec<u
     let list: Buffer<u32> = gpu.buffer("test.list", flags.len()).unwrap();
     let args: Buffer<u32> = gpu.buffer("test.args", 8).unwrap();
     let scratch: Buffer<u32> = gpu.buffer("test.scratch", Compaction::scratch(n)).unwrap();
-    let compaction =
-        Compaction::new(gpu, &kernels, &flags, &list, &args, &scratch, [first, n], 1).unwrap();
+    let compaction = Compaction::new(gpu, &kernels, &flags, &list, &args, &scratch, [first, n], 1).unwrap();
     let mut recorder = Recorder::new(gpu);
     recorder.stage("compact", |pass| compaction.record(pass));
     recorder.submit();
@@ -29,36 +28,18 @@ const TAG: u32 = 0x8000_0000;
 fn compaction_lists_the_flags_in_order_with_their_tags() {
     let Some(gpu) = gpu() else { return };
     let mut random = Random(1);
-    for (n, density) in [
-        (4, 1.0),
-        (4, 0.0),
-        (64, 0.5),
-        (1028, 0.3),
-        (70_000, 0.02),
-        (70_000, 1.0),
-        (300_004, 0.6),
-    ] {
+    for (n, density) in [(4, 1.0), (4, 0.0), (64, 0.5), (1028, 0.3), (70_000, 0.02), (70_000, 1.0), (300_004, 0.6)] {
         let flags: Vec<u32> = (0..n)
             .map(|_| {
-                let flag = if random.bits().is_multiple_of(2) {
-                    5
-                } else {
-                    TAG
-                };
+                let flag = if random.bits().is_multiple_of(2) { 5 } else { TAG };
                 u32::from(random.uniform(0.0, 1.0) < density) * flag
             })
             .collect();
         let (list, args) = compact(gpu, &flags, 0, n);
-        let expected: Vec<u32> = (0..n as u32)
-            .filter(|&i| flags[i as usize] != 0)
-            .map(|i| i | flags[i as usize] & TAG)
-            .collect();
+        let expected: Vec<u32> =
+            (0..n as u32).filter(|&i| flags[i as usize] != 0).map(|i| i | flags[i as usize] & TAG).collect();
         assert_eq!(args[7] as usize, expected.len(), "length for {n} flags");
-        assert_eq!(
-            args[4..7],
-            groups((expected.len() as u32).div_ceil(64)),
-            "dispatch size for {n} flags"
-        );
+        assert_eq!(args[4..7], groups((expected.len() as u32).div_ceil(64)), "dispatch size for {n} flags");
         assert_eq!(list[..expected.len()], expected, "list for {n} flags");
     }
 }
@@ -69,15 +50,8 @@ fn compaction_of_a_range_leaves_the_rest_alone() {
     let flags = vec![1; 400];
     let (list, args) = compact(gpu, &flags, 100, 200);
     assert_eq!(args[7], 200, "length");
-    assert_eq!(
-        list[100..300],
-        (100..300).collect::<Vec<u32>>(),
-        "the range"
-    );
-    assert!(
-        list[..100].iter().chain(&list[300..]).all(|&i| i == 0),
-        "entries outside the range"
-    );
+    assert_eq!(list[100..300], (100..300).collect::<Vec<u32>>(), "the range");
+    assert!(list[..100].iter().chain(&list[300..]).all(|&i| i == 0), "entries outside the range");
 }
 
 /// Sorts the first `length` entries of a list of (key, place) on the device.
@@ -98,10 +72,7 @@ fn sort(gpu: &Gpu, keys: &[u32], length: usize, bits: u32) -> (Vec<u32>, Vec<u32
     let scratch = gpu.buffer(&scratch.label, scratch.len).unwrap();
     let kernels = SortKernels::new(gpu).unwrap();
     let entries = Entries { keys, values };
-    let spare = Entries {
-        keys: spare_keys,
-        values: spare_values,
-    };
+    let spare = Entries { keys: spare_keys, values: spare_values };
     let sort = Sort::new(gpu, &kernels, entries, spare, &scratch, (&args, 1), bits).unwrap();
     let mut recorder = Recorder::new(gpu);
     recorder.stage("sort", |pass| sort.record(pass));
@@ -115,11 +86,7 @@ fn assert_sorted(gpu: &Gpu, what: &str, keys: &[u32], length: usize, bits: u32) 
     let mut places: Vec<u32> = (0..keys.len() as u32).collect();
     places[..length].sort_by_key(|&place| keys[place as usize] & mask);
     let (sorted, values) = sort(gpu, keys, length, bits);
-    assert!(
-        values == places,
-        "{what}, {length} of {} entries",
-        keys.len()
-    );
+    assert!(values == places, "{what}, {length} of {} entries", keys.len());
     let expected = places.iter().map(|&place| keys[place as usize]);
     assert!(expected.eq(sorted), "{what}: keys go with their values");
 }
@@ -130,10 +97,7 @@ fn sorting_is_stable_and_that_of_the_host() {
     let mut random = Random(5);
     let wg = WG_SIZE as usize;
     let lengths = [0, 1, 2, 15, 16, 17, wg - 1, wg, wg + 1];
-    for length in lengths
-        .into_iter()
-        .chain([TILE - 1, TILE, TILE + 1, 70_001])
-    {
+    for length in lengths.into_iter().chain([TILE - 1, TILE, TILE + 1, 70_001]) {
         let keys: Vec<u32> = (0..length).map(|_| random.bits() as u32).collect();
         assert_sorted(gpu, "all bits", &keys, length, 32);
         let few: Vec<u32> = keys.iter().map(|key| key % 3).collect();
@@ -197,10 +161,7 @@ fn dispatches_split_above_the_limit() {
     assert_eq!(groups(0), [0, 1, 1], "nothing");
     assert_eq!(groups(SPLIT), [SPLIT, 1, 1], "the last unsplit size");
     let [x, y, z] = groups(SPLIT + 1);
-    assert!(
-        x <= 65_535 && y <= 65_535 && z == 1 && x * y > SPLIT,
-        "{x} {y} {z}"
-    );
+    assert!(x <= 65_535 && y <= 65_535 && z == 1 && x * y > SPLIT, "{x} {y} {z}");
 }
 
 #[test]
@@ -209,11 +170,7 @@ fn real_buffers_round_trip() {
     let values = [0.1, -3.0, 1e-30, 7e9];
     let narrow = RealBuffer::new(gpu, "test.narrow", 4, Real::F32).unwrap();
     narrow.upload(gpu, &values);
-    assert_eq!(
-        narrow.download(gpu).unwrap(),
-        values.map(|v| f64::from(v as f32)),
-        "f32"
-    );
+    assert_eq!(narrow.download(gpu).unwrap(), values.map(|v| f64::from(v as f32)), "f32");
     let wide = RealBuffer::new(gpu, "test.wide", 4, Real::F64).unwrap();
     wide.upload(gpu, &values);
     assert_eq!(wide.download(gpu).unwrap(), values, "f64");
@@ -221,10 +178,7 @@ fn real_buffers_round_trip() {
 
 #[test]
 fn shader_errors_name_file_and_line_through_imports() {
-    let source = Source {
-        name: "broken",
-        text: "#import dispatch\n\nfn f() {\n    let x: u32 = 1.5;\n}\n",
-    };
+    let source = Source { name: "broken", text: "#import dispatch\n\nfn f() {\n    let x: u32 = 1.5;\n}\n" };
     let composed = compose(&source, Real::F32).unwrap();
     match validate(&composed, Real::F32) {
         Err(Error::Shader { file, line, .. }) => {
@@ -232,10 +186,7 @@ fn shader_errors_name_file_and_line_through_imports() {
         }
         other => panic!("{other:?}"),
     }
-    let source = Source {
-        name: "broken",
-        text: "// a\n#import nothing\n",
-    };
+    let source = Source { name: "broken", text: "// a\n#import nothing\n" };
     match compose(&source, Real::F32) {
         Err(Error::Shader { line, problem, .. }) => {
             assert!(line == 2 && problem.contains("nothing"), "{problem}")
@@ -261,11 +212,7 @@ fn an_unknown_adapter_is_refused_with_the_cure() {
 #[test]
 fn without_an_adapter_tests_are_counted_as_skipped() {
     // Both ways to ask for the device, of several modules; and one test that needs none.
-    let needy = [
-        "compare::all_scenes_pass",
-        "coupled_gpu::steps_are_the_twins",
-        "gpu::real_buffers_round_trip",
-    ];
+    let needy = ["compare::all_scenes_pass", "coupled_gpu::steps_are_the_twins", "gpu::real_buffers_round_trip"];
     let run = |required: Option<&str>| {
         let mut command = std::process::Command::new(std::env::current_exe().unwrap());
         command
@@ -280,12 +227,11 @@ fn without_an_adapter_tests_are_counted_as_skipped() {
         let [said, told] = [output.stdout, output.stderr].map(|it| String::from_utf8(it).unwrap());
         let skipped = told.lines().filter_map(|line| line.strip_prefix(SKIPPED));
         let skipped = skipped.map(|line| line.split_once(": ").unwrap());
-        let [numbers, mut tests] =
-            skipped.fold([const { Vec::new() }; 2], |[mut numbers, mut tests], it| {
-                numbers.push(it.0.to_owned());
-                tests.push(it.1.to_owned());
-                [numbers, tests]
-            });
+        let [numbers, mut tests] = skipped.fold([const { Vec::new() }; 2], |[mut numbers, mut tests], it| {
+            numbers.push(it.0.to_owned());
+            tests.push(it.1.to_owned());
+            [numbers, tests]
+        });
         tests.sort();
         (output.status.code(), said, numbers, tests)
     };
@@ -294,21 +240,12 @@ fn without_an_adapter_tests_are_counted_as_skipped() {
         assert!(code == Some(0) && said.contains("4 passed"), "{said}");
         assert_eq!(
             (&numbers[..], &tests[..]),
-            (
-                &["1", "2", "3"].map(str::to_owned)[..],
-                &needy.map(str::to_owned)[..]
-            )
+            (&["1", "2", "3"].map(str::to_owned)[..], &needy.map(str::to_owned)[..])
         );
     }
     let (code, said, _, tests) = run(Some("1"));
-    assert!(
-        code == Some(101) && said.contains("1 passed; 3 failed"),
-        "{said}"
-    );
-    assert!(
-        said.contains("REQUIRE_GPU=1 and ") && tests.is_empty(),
-        "{said}"
-    );
+    assert!(code == Some(101) && said.contains("1 passed; 3 failed"), "{said}");
+    assert!(said.contains("REQUIRE_GPU=1 and ") && tests.is_empty(), "{said}");
 }
 
 #[test]
@@ -324,15 +261,9 @@ fn a_buffer_beyond_the_limit_is_refused_by_name() {
 #[test]
 #[should_panic(expected = "nothing bound to chunks")]
 fn a_missing_binding_is_a_broken_invariant() {
-    let Some(gpu) = gpu() else {
-        panic!("nothing bound to chunks: there is no device to try it on")
-    };
+    let Some(gpu) = gpu() else { panic!("nothing bound to chunks: there is no device to try it on") };
     let kernel = Kernel::new(gpu, &cutwater::wgsl!("compact_count"), Real::F32).unwrap();
     let range = gpu.uniform("test.range", &[0u32; 4]).unwrap();
     let flags: Buffer<u32> = gpu.buffer("test.flags", 4).unwrap();
-    let _ = kernel.bind(
-        gpu,
-        &[("range", (&range).into()), ("flags", (&flags).into())],
-        &[],
-    );
+    let _ = kernel.bind(gpu, &[("range", (&range).into()), ("flags", (&flags).into())], &[]);
 }

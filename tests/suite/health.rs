@@ -42,11 +42,7 @@ fn run(scene: &Scene, frames: u64, keep_going: bool) -> Run {
     let mut notices = Vec::new();
     let mut listen = |progress: &sim::Progress| notices.extend_from_slice(progress.notices);
     let ended = sim::run(scene, &options, &mut listen, &AtomicBool::new(false));
-    Run {
-        folder,
-        notices,
-        ended,
-    }
+    Run { folder, notices, ended }
 }
 
 fn soft(overrides: &[&str]) -> Scene {
@@ -82,18 +78,12 @@ fn a_solid_that_collapses_ends_the_run() {
     // It goes on if it is told to, and says what it lost; liquid goes into a body that is inside out.
     let kept = run(&scene, 32, true);
     let summary = kept.ended.as_ref().unwrap();
-    assert_eq!(
-        summary.failed_solids,
-        [("jelly".to_owned(), progress.steps - 1)]
-    );
+    assert_eq!(summary.failed_solids, [("jelly".to_owned(), progress.steps - 1)]);
     let says = |what: &str| kept.notices.iter().filter(|of| of.contains(what)).count();
     assert_eq!(says("has collapsed"), 1, "{:?}", kept.notices);
     assert_eq!(says("markers are lost"), 1, "{:?}", kept.notices);
     assert!(says("of its expected volume") <= 1);
-    assert_eq!(
-        summary.tally.volume_off > 0,
-        says("of its expected volume") == 1
-    );
+    assert_eq!(summary.tally.volume_off > 0, says("of its expected volume") == 1);
     assert!(summary.tally.lost_share() > 0.01);
 }
 
@@ -110,10 +100,7 @@ fn a_solid_that_recovers_does_not_fail() {
         let solids = run.manifest().progress.solids;
         assert_eq!(solids.len(), scene.solids.len());
         for health in solids {
-            assert!(
-                health.sound_steps > 0 && health.inverted_steps == 0,
-                "{health:?}"
-            );
+            assert!(health.sound_steps > 0 && health.inverted_steps == 0, "{health:?}");
         }
     }
     let stiff = run(&soft(&["solid[0].young=2e4"]), 32, false);
@@ -126,11 +113,9 @@ fn a_solid_that_recovers_does_not_fail() {
 /// time. (The 20 passages of an elastic wave are 0.4 s with E = 1e5 Pa.)
 #[test]
 fn a_solid_that_unfolds_does_not_fail() {
-    for (stretch, young, step) in [
-        ("[1, -1, 1]", "1e5", "1/1200"),
-        ("[-1, -1, -1]", "1e4", "1/240"),
-        ("2", "1e5", "1/1200"),
-    ] {
+    for (stretch, young, step) in
+        [("[1, -1, 1]", "1e5", "1/1200"), ("[-1, -1, -1]", "1e4", "1/240"), ("2", "1e5", "1/1200")]
+    {
         let (one, many) = step.split_once('/').unwrap();
         let step = one.parse::<f64>().unwrap() / many.parse::<f64>().unwrap();
         let text = format!(
@@ -156,10 +141,7 @@ fn liquid_of_the_wrong_volume_is_told_once() {
     let [least, largest] = summary.tally.volume_ratio.unwrap();
     let off = least < 0.8 || largest > 1.2;
     println!("volume {least} to {largest}: {:?}", run.notices);
-    let told = run
-        .notices
-        .iter()
-        .filter(|of| of.contains("% of its expected volume"));
+    let told = run.notices.iter().filter(|of| of.contains("% of its expected volume"));
     assert_eq!(told.count(), usize::from(off));
     assert_eq!(summary.tally.volume_off > 0, off);
 }
@@ -178,9 +160,6 @@ fn a_sweep_counts_a_collapsed_solid_as_failed() {
         rows.map(str::to_owned).next().unwrap_or_default()
     };
     let (soft, stiff) = (row("3e3"), row("2e4"));
-    assert!(
-        soft.contains("failed") && soft.contains("has collapsed"),
-        "{summary}\n{said}"
-    );
+    assert!(soft.contains("failed") && soft.contains("has collapsed"), "{summary}\n{said}");
     assert!(stiff.contains("finished"), "{summary}\n{said}");
 }

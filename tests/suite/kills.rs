@@ -68,12 +68,8 @@ impl Run<'_> {
                 } else {
                     Duration::MAX
                 };
-                let mut child = self
-                    .command(&out, "--resume")
-                    .stdout(Stdio::null())
-                    .stderr(Stdio::null())
-                    .spawn()
-                    .unwrap();
+                let mut child =
+                    self.command(&out, "--resume").stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
                 let start = Instant::now();
                 let status = loop {
                     if let Some(status) = child.try_wait().unwrap() {
@@ -87,11 +83,7 @@ impl Run<'_> {
                     std::thread::sleep(Duration::from_millis(2));
                 };
                 if let Some(status) = status {
-                    assert!(
-                        status.success(),
-                        "{out} after {} kills: {status}",
-                        done.kills
-                    );
+                    assert!(status.success(), "{out} after {} kills: {status}", done.kills);
                     break;
                 }
                 disturbed = true;
@@ -142,20 +134,14 @@ pub(crate) fn contents(run: &Path) -> BTreeMap<String, Vec<u8>> {
 }
 
 fn without_seconds(table: &Path) -> Vec<u8> {
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .from_path(table)
-        .unwrap();
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(table).unwrap();
     let mut kept = Vec::new();
     let mut timed = BTreeSet::new();
     for row in reader.records() {
         let row = row.unwrap();
         if kept.is_empty() {
             let names = row.iter().enumerate();
-            timed = names
-                .filter(|(_, name)| name.starts_with("seconds_"))
-                .map(|(column, _)| column)
-                .collect();
+            timed = names.filter(|(_, name)| name.starts_with("seconds_")).map(|(column, _)| column).collect();
         }
         for (column, field) in row.iter().enumerate() {
             if !timed.contains(&column) {
@@ -172,9 +158,7 @@ fn without_seconds(table: &Path) -> Vec<u8> {
 pub(crate) fn assert_same(found: &BTreeMap<String, Vec<u8>>, wanted: &BTreeMap<String, Vec<u8>>) {
     let names = |of: &BTreeMap<String, Vec<u8>>| of.keys().cloned().collect::<Vec<_>>();
     assert_eq!(names(found), names(wanted));
-    let differ = wanted
-        .iter()
-        .filter(|(name, content)| found[*name] != **content);
+    let differ = wanted.iter().filter(|(name, content)| found[*name] != **content);
     let differ: Vec<_> = differ.map(|(name, _)| name).collect();
     assert!(differ.is_empty(), "{differ:?} differ");
 }
@@ -182,10 +166,8 @@ pub(crate) fn assert_same(found: &BTreeMap<String, Vec<u8>>, wanted: &BTreeMap<S
 /// What a killed run left under final names is whole: frames as they should be, tables up to a point, a manifest and a checkpoint that can
 /// be read.
 fn ensure_whole(run: &Path, wanted: &BTreeMap<String, Vec<u8>>) {
-    let entries = [run.to_owned(), run.join("frames")]
-        .into_iter()
-        .filter_map(|folder| fs::read_dir(folder).ok())
-        .flatten();
+    let entries =
+        [run.to_owned(), run.join("frames")].into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
     for entry in entries {
         let path = entry.unwrap().path();
         let name = path.strip_prefix(run).unwrap().to_str().unwrap().to_owned();

@@ -23,25 +23,16 @@ fn parsed(name: &'static str) -> naga::Module {
 }
 
 /// Compares a WGSL struct of a kernel or a module with (field, offset) pairs and the size of its Rust doppelganger.
-pub(crate) fn assert_layout(
-    module: &'static str,
-    name: &str,
-    fields: &[(&str, usize)],
-    size: usize,
-) {
+pub(crate) fn assert_layout(module: &'static str, name: &str, fields: &[(&str, usize)], size: usize) {
     let module = parsed(module);
     let (_, ty) = module
         .types
         .iter()
         .find(|(_, ty)| ty.name.as_deref() == Some(name))
         .unwrap_or_else(|| panic!("no struct {name}"));
-    let naga::TypeInner::Struct { members, span } = &ty.inner else {
-        panic!("{name} is no struct")
-    };
-    let found: Vec<(&str, usize)> = members
-        .iter()
-        .map(|member| (member.name.as_deref().unwrap_or(""), member.offset as usize))
-        .collect();
+    let naga::TypeInner::Struct { members, span } = &ty.inner else { panic!("{name} is no struct") };
+    let found: Vec<(&str, usize)> =
+        members.iter().map(|member| (member.name.as_deref().unwrap_or(""), member.offset as usize)).collect();
     assert_eq!(found, fields, "{name}: fields and offsets");
     assert_eq!(*span as usize, size, "{name}: size");
 }
@@ -61,12 +52,7 @@ fn layout_matches() {
 
 #[test]
 fn range_matches() {
-    assert_layout(
-        "compact",
-        "Range",
-        fields!(Range: first, n_flags, args, n_chunks),
-        size_of::<Range>(),
-    );
+    assert_layout("compact", "Range", fields!(Range: first, n_flags, args, n_chunks), size_of::<Range>());
 }
 
 #[test]
@@ -74,12 +60,7 @@ fn solver_structs_match() {
     use cutwater::solver::{Control, Level, Sweep};
     let fields = fields!(Level: shape, coefficient, args, pad_0, pad_1);
     assert_layout("level", "Level", fields, size_of::<Level>());
-    assert_layout(
-        "sweep",
-        "Sweep",
-        fields!(Sweep: omega, ends_cycle, pad_0, pad_1),
-        size_of::<Sweep>(),
-    );
+    assert_layout("sweep", "Sweep", fields!(Sweep: omega, ends_cycle, pad_0, pad_1), size_of::<Sweep>());
     let fields = fields!(
         Control: running, status, iterations, max_iterations, first, refinements, unknowns, n_lists
     );
@@ -114,12 +95,7 @@ fn solid_step_matches() {
 
 #[test]
 fn tiles_match() {
-    assert_layout(
-        "tiles",
-        "Tiles",
-        fields!(Tiles: n, reach, air, moves, pad_0, pad_1),
-        size_of::<Tiles>(),
-    );
+    assert_layout("tiles", "Tiles", fields!(Tiles: n, reach, air, moves, pad_0, pad_1), size_of::<Tiles>());
 }
 
 #[test]
@@ -139,12 +115,7 @@ fn probe_point_matches() {
 
 #[test]
 fn sort_pass_matches() {
-    assert_layout(
-        "sort",
-        "SortPass",
-        fields!(SortPass: shift, args),
-        size_of::<SortPass>(),
-    );
+    assert_layout("sort", "SortPass", fields!(SortPass: shift, args), size_of::<SortPass>());
 }
 
 #[test]
@@ -160,8 +131,7 @@ fn settings_match() {
     let fields = fields!(SeparationRound: locks, tolerance, pad_0, pad_1);
     let size = size_of::<SeparationRound>();
     assert_layout("separation_update", "SeparationRound", fields, size);
-    let fields =
-        fields!(RefineSettings: tolerance, rounding, floor, guess, n_blocks, pad_0, pad_1, pad_2);
+    let fields = fields!(RefineSettings: tolerance, rounding, floor, guess, n_blocks, pad_0, pad_1, pad_2);
     let size = size_of::<RefineSettings>();
     assert_layout("refine", "RefineSettings", fields, size);
 }
@@ -201,9 +171,7 @@ fn constant(file: &str, name: &str) -> f64 {
     let value = value.trim_end_matches('u');
     match value.strip_prefix("0x") {
         Some(digits) => f64::from(u32::from_str_radix(digits, 16).unwrap()),
-        None => value
-            .parse()
-            .unwrap_or_else(|_| panic!("{file}: {name} is {value}")),
+        None => value.parse().unwrap_or_else(|_| panic!("{file}: {name} is {value}")),
     }
 }
 
@@ -215,66 +183,24 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     ("src/fields/liquid.rs", "common/tiles", &["TILE"]),
     ("src/fields/report.rs", "common/report", &["DROPPED"]),
     ("src/solver/mod.rs", "vcycle_tail", &["TAIL_STEPS"]),
-    (
-        "src/fields/pressure_system.rs",
-        "vcycle_tail",
-        &["TAIL_QUADS", "TAIL_LEVELS"],
-    ),
-    (
-        "src/reference/turn_solids.rs",
-        "turn_solids",
-        &["LEAST_INERTIA", "ROUNDS", "LEFT"],
-    ),
-    (
-        "src/fields/pressure_system.rs",
-        "fold_partials",
-        &["FOLD_THREADS"],
-    ),
-    (
-        "src/solver/hierarchy.rs",
-        "vcycle_tail",
-        &["SWEEP", "RESTRICT", "PROLONG"],
-    ),
-    (
-        "src/solver/pcg.rs",
-        "common/control",
-        &["UPDATE", "EVALUATE", "BEGIN"],
-    ),
+    ("src/fields/pressure_system.rs", "vcycle_tail", &["TAIL_QUADS", "TAIL_LEVELS"]),
+    ("src/reference/turn_solids.rs", "turn_solids", &["LEAST_INERTIA", "ROUNDS", "LEFT"]),
+    ("src/fields/pressure_system.rs", "fold_partials", &["FOLD_THREADS"]),
+    ("src/solver/hierarchy.rs", "vcycle_tail", &["SWEEP", "RESTRICT", "PROLONG"]),
+    ("src/solver/pcg.rs", "common/control", &["UPDATE", "EVALUATE", "BEGIN"]),
     (
         "src/solver/acceptance.rs",
         "common/refine",
-        &[
-            "SCALE",
-            "RESIDUAL",
-            "RHS",
-            "TERMS",
-            "REFERENCE",
-            "NORMS_OF_STATE",
-            "NORMS_OF_BLOCK",
-        ],
+        &["SCALE", "RESIDUAL", "RHS", "TERMS", "REFERENCE", "NORMS_OF_STATE", "NORMS_OF_BLOCK"],
     ),
-    (
-        "src/solver/refine.rs",
-        "common/control_state",
-        &["STATUS_BREAKDOWN", "STATUS_STAGNATED"],
-    ),
+    ("src/solver/refine.rs", "common/control_state", &["STATUS_BREAKDOWN", "STATUS_STAGNATED"]),
     ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
     (
         "src/solver/acceptance.rs",
         "refine_accept",
-        &[
-            "MARGIN",
-            "MARGIN_COUPLED",
-            "RETRY_COUPLED",
-            "ROUNDING_OF_X",
-            "STRICTEST",
-        ],
+        &["MARGIN", "MARGIN_COUPLED", "RETRY_COUPLED", "ROUNDING_OF_X", "STRICTEST"],
     ),
-    (
-        "src/fields/pressure_system.rs",
-        "common/components",
-        &["N_CLOSED"],
-    ),
+    ("src/fields/pressure_system.rs", "common/components", &["N_CLOSED"]),
 ];
 
 #[test]
@@ -296,30 +222,17 @@ fn derived_constants_match() {
     let of_shader = |file: &str, name: &str| constant(&format!("shaders/{file}.wgsl"), name);
     let groups = of_shader("common/compact", "CHUNK_GROUPS");
     assert_eq!(constant("src/gpu/compact.rs", "CHUNK"), 4.0 * groups);
-    assert_eq!(
-        constant("src/solver/solid_solver.rs", "BODY_NODES"),
-        of_shader("chebyshev_polynomial", "BODY_THREADS")
-    );
-    assert_eq!(
-        constant("src/solver/chebyshev.rs", "MAX_DEGREE") + 1.0,
-        of_shader("common/chebyshev", "DEGREES")
-    );
-    assert_eq!(
-        constant("src/stages/move_solid.rs", "BODY_THREADS"),
-        of_shader("common/tree", "FOLD_SIZE")
-    );
+    assert_eq!(constant("src/solver/solid_solver.rs", "BODY_NODES"), of_shader("chebyshev_polynomial", "BODY_THREADS"));
+    assert_eq!(constant("src/solver/chebyshev.rs", "MAX_DEGREE") + 1.0, of_shader("common/chebyshev", "DEGREES"));
+    assert_eq!(constant("src/stages/move_solid.rs", "BODY_THREADS"), of_shader("common/tree", "FOLD_SIZE"));
     let slice = of_shader("common/rows", "SLICE");
     assert_eq!(slice, of_shader("common/dispatch", "WG_SIZE"));
     let digits = 2f64.powf(of_shader("common/sort", "DIGIT_BITS"));
     assert_eq!(of_shader("common/sort", "DIGITS"), digits);
     let tile = of_shader("common/sort", "RUN") * of_shader("common/dispatch", "WG_SIZE");
     assert_eq!(of_shader("common/sort", "TILE"), tile);
-    let fold_groups =
-        of_shader("pcg_gate", "FOLD_GROUPS") * of_shader("common/dispatch", "WG_SIZE");
-    assert_eq!(
-        constant("src/fields/pressure_system.rs", "FOLD_THREADS"),
-        fold_groups
-    );
+    let fold_groups = of_shader("pcg_gate", "FOLD_GROUPS") * of_shader("common/dispatch", "WG_SIZE");
+    assert_eq!(constant("src/fields/pressure_system.rs", "FOLD_THREADS"), fold_groups);
     assert_eq!(
         constant("src/solver/acceptance.rs", "COUPLING_SHARE").powi(2),
         of_shader("refine_accept", "COUPLING_SHARE")
@@ -340,12 +253,7 @@ fn coupled_structs_match() {
     let fields = fields!(CutQuad: open, distance, quad, walls, pad_0, pad_1);
     assert_layout("cut_quad", "CutQuad", fields, size_of::<CutQuad>());
     let fields = fields!(PressureSlope: at_rest, scale);
-    assert_layout(
-        "pressure_slope",
-        "PressureSlope",
-        fields,
-        size_of::<PressureSlope>(),
-    );
+    assert_layout("pressure_slope", "PressureSlope", fields, size_of::<PressureSlope>());
     let fields = fields!(Wetted: n, pad_0, pad_1, pad_2);
     assert_layout("wetted", "Wetted", fields, size_of::<Wetted>());
 }

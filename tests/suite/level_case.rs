@@ -16,13 +16,7 @@ pub(crate) fn level_cases() -> Vec<Case> {
 }
 
 pub(crate) fn with_level(mut case: Case) -> Case {
-    case.effects = Effects {
-        level: true,
-        maccormack: true,
-        volume_shift: true,
-        volume_control: false,
-        ..case.effects
-    };
+    case.effects = Effects { level: true, maccormack: true, volume_shift: true, volume_control: false, ..case.effects };
     let (grid, mut random) = (case.grid, Random(5));
     let size = grid.size() / grid.dx;
     let (pool, ball) = (0.41 * size.y, size * DVec3::new(0.6, 0.8, 0.45));
@@ -37,9 +31,7 @@ pub(crate) fn with_level(mut case: Case) -> Case {
     case.state.liquid_distance = level.iter().map(|phi| single(phi * grid.dx)).collect();
     let n = case.state.markers.len();
     let mut component = || single(random.uniform(-2.0, 2.0));
-    case.state.marker_velocity = (0..n)
-        .map(|_| std::array::from_fn(|_| component()))
-        .collect();
+    case.state.marker_velocity = (0..n).map(|_| std::array::from_fn(|_| component())).collect();
     case.state.spray = (0..n).map(|n| n % 5 == 0).collect();
     case
 }

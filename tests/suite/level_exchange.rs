@@ -4,8 +4,8 @@ use std::path::Path;
 
 use cutwater::effects::Effects;
 use cutwater::fields::{
-    ExchangeBuffers, LevelBuffers, LevelExchange, LiquidBuffers, LiquidPlan, Report, Sinks,
-    SolverBuffers, SourceStep, Sources, Step,
+    ExchangeBuffers, LevelBuffers, LevelExchange, LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers, SourceStep,
+    Sources, Step,
 };
 use cutwater::geometry::{MARKERS_PER_CELL, MOST_SITES, Running, SourcesAndSinks, obstacle_cut};
 use cutwater::gpu::{AdapterChoice, Gpu, Real, Recorder};
@@ -33,7 +33,8 @@ fn parse(rest: &str) -> Scene {
 const POOL: &str = "[liquid]\nsurface = \"level\"\n\
                     [[liquid.region]]\nhalf_space = { point = [0.0, 0.125, 0.0], normal = [0.0, 1.0, 0.0] }\n";
 /// 4 x 4 x 4 cells below the ceiling.
-const TAP: &str = "[[source]]\nbox = { min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }\nvelocity = [0.0, -1.0, 0.0]\n";
+const TAP: &str =
+    "[[source]]\nbox = { min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }\nvelocity = [0.0, -1.0, 0.0]\n";
 /// Beside the surface of the pool, cut by the post.
 const DRAIN: &str = "[[sink]]\nbox = { min = [0.40625, 0.0625, 0.0], max = [0.5, 0.1875, 0.25] }\n\
      [[obstacle]]\nbox = { min = [0.39, 0.0, 0.1], max = [0.44, 0.11, 0.2] }\n";
@@ -89,18 +90,11 @@ fn what_comes_less_what_goes_is_the_change_of_the_target() {
         println!("{name}: {sum:?}, off by up to {worst}");
         let lost = state.markers_dropped as f64 * scene.grid().cell_volume() / 8.0;
         let difference = start + flow - state.volume_0;
-        assert!(
-            (-1e-9 * start..=lost + 1e-9 * start).contains(&difference),
-            "{name}: {difference:e}"
-        );
+        assert!((-1e-9 * start..=lost + 1e-9 * start).contains(&difference), "{name}: {difference:e}");
         let targets: f64 = state.component_volume.iter().sum();
         let whole = targets + spray_volume(&scene, &state.spray);
         let bound = if name == "cpu" { 1e-12 } else { 1e-5 };
-        assert!(
-            (whole / state.volume_0 - 1.0).abs() < bound,
-            "{name}: {whole} of {}",
-            state.volume_0
-        );
+        assert!((whole / state.volume_0 - 1.0).abs() < bound, "{name}: {whole} of {}", state.volume_0);
         assert!(worst < 0.06, "{name}: {worst}");
         // The cells of the source once, and its flux from its second sub-step to its end.
         let cells = 64.0 * scene.grid().cell_volume();
@@ -108,11 +102,7 @@ fn what_comes_less_what_goes_is_the_change_of_the_target() {
         let most = cells + 0.2 * flux;
         // A sub-step is at most 3 cells of the fastest liquid, of 1 m/s or more, and one may end after the source does.
         let step = flux * 3.0 / 32.0;
-        assert!(
-            (most - step..=most + step).contains(&sum.volume_emitted),
-            "{name}: {} of {most}",
-            sum.volume_emitted
-        );
+        assert!((most - step..=most + step).contains(&sum.volume_emitted), "{name}: {} of {most}", sum.volume_emitted);
         assert!(sum.volume_sunk > 0.0 && sum.sunk > 0, "{name}");
         assert!(sum.emitted > 64 * 8, "{name}");
     }
@@ -124,9 +114,7 @@ fn what_comes_less_what_goes_is_the_change_of_the_target() {
 fn what_leaves_through_an_open_side_is_gone() {
     let open = "[domain]\nsize = [0.5, 0.5, 0.25]\ncells = [16, 16, 8]\nopen = [\"+x\"]\n[time]\nduration = 1.0\nframes_per_second = 24\n";
     let tap = format!("{TAP}start = 0.02\nend = 0.2\n");
-    let text = format!(
-        "{open}{POOL}{tap}[[obstacle]]\nbox = {{ min = [0.45, 0.0, 0.0], max = [0.5, 0.04, 0.25] }}\n"
-    );
+    let text = format!("{open}{POOL}{tap}[[obstacle]]\nbox = {{ min = [0.45, 0.0, 0.0], max = [0.5, 0.04, 0.25] }}\n");
     let scene = Scene::parse(Path::new("flows.toml"), &text, &[], 1.0).unwrap();
     let mut ends = Vec::new();
     for backend in backends() {
@@ -140,10 +128,7 @@ fn what_leaves_through_an_open_side_is_gone() {
         let state = simulation.state().unwrap();
         let expected = start + sum.volume_emitted - sum.volume_left;
         println!("{name}: {start}, {sum:?}, {last}, {}", state.volume_0);
-        assert!(
-            (last - expected).abs() < 0.05 * start,
-            "{name}: {last}, {expected}"
-        );
+        assert!((last - expected).abs() < 0.05 * start, "{name}: {last}, {expected}");
         assert!((state.volume_0 - last).abs() < 0.1 * last, "{name}");
         let targets: f64 = state.component_volume.iter().sum();
         let whole = targets + spray_volume(&scene, &state.spray);
@@ -205,17 +190,11 @@ fn a_source_below_the_surface_raises_it() {
         assert_eq!(sum.emitted, 0, "{name}");
         // It was full, and its first sub-step is at most a frame.
         let flux = 0.125 * 0.125 * 0.5;
-        assert!(
-            sum.volume_emitted <= flux * 6.0 / 24.0 * (1.0 + 1e-6),
-            "{name}"
-        );
+        assert!(sum.volume_emitted <= flux * 6.0 / 24.0 * (1.0 + 1e-6), "{name}");
         assert!(sum.volume_emitted >= flux * 5.0 / 24.0 - 1e-6, "{name}");
         // The dead band of the shift is 0.5 %.
         let expected = start + sum.volume_emitted;
-        assert!(
-            (last / expected - 1.0).abs() < 0.01,
-            "{name}: {last}, {expected}"
-        );
+        assert!((last / expected - 1.0).abs() < 0.01, "{name}: {last}, {expected}");
     }
 }
 
@@ -235,21 +214,13 @@ fn runs_with_a_level_that_exchanges_resume_bitwise() {
             again.resume(&state, &carried).unwrap();
             let [a, b] = [&mut whole, &mut again].map(|simulation| {
                 let sum = run(simulation, until, |_| {});
-                (
-                    sum,
-                    simulation.state().unwrap(),
-                    simulation.carried().unwrap(),
-                )
+                (sum, simulation.state().unwrap(), simulation.carried().unwrap())
             });
             assert_eq!(a.0, b.0, "{name}: from frame {frame}");
             assert!(a == b, "{name}: from frame {frame}");
         }
         let state = whole.state().unwrap();
-        let counts = [
-            state.markers_left,
-            state.markers_sunk,
-            state.markers_emitted,
-        ];
+        let counts = [state.markers_left, state.markers_sunk, state.markers_emitted];
         assert!(counts.iter().all(|&n| n > 0), "{name}: {counts:?}");
     }
 }
@@ -258,40 +229,20 @@ fn runs_with_a_level_that_exchanges_resume_bitwise() {
 fn the_exchange_of_a_level_has_kernels_and_arrays_only_where_it_is() {
     let plan = |text: &str| Plan::new(&parse(text), None).unwrap();
     let plain = plan(POOL);
-    let [source, sink] = [
-        TAP,
-        "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n",
-    ]
-    .map(|rest| plan(&format!("{POOL}{rest}")));
+    let [source, sink] = [TAP, "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n"]
+        .map(|rest| plan(&format!("{POOL}{rest}")));
     let markers = plan(&format!("{POOL}{TAP}").replace("surface = \"level\"\n", ""));
-    for (plan, has_sources, has_sinks) in [
-        (&plain, false, false),
-        (&source, true, false),
-        (&sink, false, true),
-        (&markers, false, false),
-    ] {
-        let kernels: Vec<&str> = plan
-            .stages
-            .iter()
-            .flat_map(|stage| stage.kernels.clone())
-            .collect();
+    for (plan, has_sources, has_sinks) in
+        [(&plain, false, false), (&source, true, false), (&sink, false, true), (&markers, false, false)]
+    {
+        let kernels: Vec<&str> = plan.stages.iter().flat_map(|stage| stage.kernels.clone()).collect();
         for (names, present) in [
             (
-                &[
-                    "fill_sources",
-                    "count_emitted",
-                    "scan_emitted",
-                    "emit_markers",
-                    "count_labelled",
-                    "add_sources",
-                ][..],
+                &["fill_sources", "count_emitted", "scan_emitted", "emit_markers", "count_labelled", "add_sources"][..],
                 has_sources,
             ),
             (&["sink_volumes", "sink_spray", "settle_removed"], has_sinks),
-            (
-                &["add_exchange", "report_exchange"],
-                has_sources || has_sinks,
-            ),
+            (&["add_exchange", "report_exchange"], has_sources || has_sinks),
             (&["outflow", "limit_targets"], false),
         ] {
             for name in names {
@@ -299,19 +250,9 @@ fn the_exchange_of_a_level_has_kernels_and_arrays_only_where_it_is() {
             }
         }
         let labels = plan.buffers.iter().map(|buffer| &*buffer.label);
-        let labels: Vec<&str> = labels
-            .filter(|label| label.starts_with("exchange."))
-            .collect();
-        assert_eq!(
-            labels.contains(&"exchange.fills"),
-            has_sources,
-            "{labels:?}"
-        );
-        assert_eq!(
-            labels.contains(&"exchange.component_removed"),
-            has_sinks,
-            "{labels:?}"
-        );
+        let labels: Vec<&str> = labels.filter(|label| label.starts_with("exchange.")).collect();
+        assert_eq!(labels.contains(&"exchange.fills"), has_sources, "{labels:?}");
+        assert_eq!(labels.contains(&"exchange.component_removed"), has_sinks, "{labels:?}");
         assert_eq!(labels.is_empty(), !has_sources && !has_sinks, "{labels:?}");
     }
 }
@@ -333,18 +274,13 @@ impl<'a> Run<'a> {
     fn new(gpu: &'a Gpu) -> Run<'a> {
         let scene = twin_exchange::scene();
         let (grid, cut, taps) = twin_exchange::stored(&scene);
-        let effects = Effects {
-            open_sides: true,
-            ..Effects::of(&scene)
-        };
+        let effects = Effects { open_sides: true, ..Effects::of(&scene) };
         let case = Case::around("flows", (grid, effects, cut), 3.0, |_, _| 2);
         let mut case = with_level(case);
         case.sides = Axis::ALL
             .into_iter()
             .flat_map(|axis| [(axis, 0), (axis, 1)])
-            .fold(Sides::default(), |sides, (axis, side)| {
-                sides.with(axis, side)
-            });
+            .fold(Sides::default(), |sides, (axis, side)| sides.with(axis, side));
         for axis in Axis::ALL {
             for (face, open) in case.cut.open[axis.index()].iter_mut().enumerate() {
                 if grid.wall(axis, grid.face_at(axis, face)).is_some() {
@@ -353,22 +289,12 @@ impl<'a> Run<'a> {
             }
         }
         let open_volumes = reference::open_volumes(&grid, &case.cut.solid_distance);
-        let level: Vec<f64> = case
-            .state
-            .liquid_distance
-            .iter()
-            .map(|phi| phi / grid.dx)
-            .collect();
+        let level: Vec<f64> = case.state.liquid_distance.iter().map(|phi| phi / grid.dx).collect();
         let before = reference::liquid_components(&grid, &case.cut.open, &open_volumes, &level);
         assert!(before.volume.len() > 1);
         case.state.component = before.label;
-        let targets = before
-            .volume
-            .iter()
-            .map(|volume| 1.05 * volume / grid.cell_volume());
-        case.state.component_volume = targets
-            .map(|target| single(target) * grid.cell_volume())
-            .collect();
+        let targets = before.volume.iter().map(|volume| 1.05 * volume / grid.cell_volume());
+        case.state.component_volume = targets.map(|target| single(target) * grid.cell_volume()).collect();
         let plan = LiquidPlan {
             grid,
             effects: case.effects,
@@ -382,9 +308,7 @@ impl<'a> Run<'a> {
             solver: case.solved(gpu),
             sources: Sources::new(gpu, &liquid, &taps).unwrap().unwrap(),
             sinks: Sinks::new(gpu, &liquid, &taps).unwrap().unwrap(),
-            exchange: LevelExchange::new(gpu, &liquid, &taps, case.sides)
-                .unwrap()
-                .unwrap(),
+            exchange: LevelExchange::new(gpu, &liquid, &taps, case.sides).unwrap().unwrap(),
             gpu,
             case,
             taps,
@@ -393,19 +317,12 @@ impl<'a> Run<'a> {
     }
 
     fn buffers(&self) -> ExchangeBuffers<'_> {
-        ExchangeBuffers {
-            sources: Some(&self.sources),
-            sinks: Some(&self.sinks),
-            level: Some(&self.exchange),
-        }
+        ExchangeBuffers { sources: Some(&self.sources), sinks: Some(&self.sinks), level: Some(&self.exchange) }
     }
 
     fn step(&self) -> Step {
         let volume: f64 = self.case.state.component_volume.iter().sum();
-        Step {
-            volume_0: (1.3 * volume) as f32,
-            ..self.case.step()
-        }
+        Step { volume_0: (1.3 * volume) as f32, ..self.case.step() }
     }
 
     /// Starts again from the state; the band without spray, which here is none.
@@ -422,8 +339,7 @@ impl<'a> Run<'a> {
         let renewed = self.renewed() / self.case.grid.cell_volume();
         self.level.write_step(self.gpu, [17, 3], 1.0, renewed);
         let one = self.case.grid.cell_volume();
-        self.exchange
-            .write_step(self.gpu, &self.taps, running, (dt, one));
+        self.exchange.write_step(self.gpu, &self.taps, running, (dt, one));
         self.case.band(self.gpu, &self.liquid);
     }
 
@@ -434,9 +350,7 @@ impl<'a> Run<'a> {
     }
 
     fn cells(&self, values: &[f32]) -> Vec<f64> {
-        self.liquid
-            .padded
-            .unpad(self.case.grid.cells, values, f64::from)
+        self.liquid.padded.unpad(self.case.grid.cells, values, f64::from)
     }
 
     fn report(&self) -> Report {
@@ -475,8 +389,7 @@ fn sources_emit_the_markers_of_the_twin() {
             let (markers, n_emitted) = go();
             assert!((markers.clone(), n_emitted) == go(), "again");
             let mut twin = Vec::new();
-            let n_twin =
-                reference::emit_markers(grid, &run.taps, running, &lattices, &distance, &mut twin);
+            let n_twin = reference::emit_markers(grid, &run.taps, running, &lattices, &distance, &mut twin);
             assert_eq!(u64::from(n_emitted), n_twin);
             let new = &markers[n..];
             assert!(new[twin.len()..].iter().all(|marker| *marker == [0.0; 4]));
@@ -510,8 +423,7 @@ fn a_level_exchanges_as_in_the_twin() {
     let transport = stages::advect_level(gpu, &run.liquid, &run.solver, &run.level).unwrap();
     let exchange = stages::exchange_level(gpu, &run.liquid, &run.level, run.buffers());
     let exchange = exchange.unwrap().unwrap();
-    let components =
-        stages::liquid_components(gpu, &run.liquid, &run.level, run.buffers()).unwrap();
+    let components = stages::liquid_components(gpu, &run.liquid, &run.level, run.buffers()).unwrap();
     let open_volumes = reference::open_volumes(grid, &case.cut.solid_distance);
     let dt = f64::from(case.dt as f32);
     let velocity = &case.state.velocity;
@@ -547,8 +459,8 @@ fn a_level_exchanges_as_in_the_twin() {
         reference::remove_volumes(&case.state.component, &sunk, &mut targets);
         // A filled share is off by 8 roundings; dt, dx and three products follow.
         let way = dt * case.speed() / grid.dx;
-        let removed_bound = left.len() as f64 * (16.0 * EPS * way + HALF_UNIT)
-            + sunk.len() as f64 * (16.0 * EPS + HALF_UNIT);
+        let removed_bound =
+            left.len() as f64 * (16.0 * EPS * way + HALF_UNIT) + sunk.len() as f64 * (16.0 * EPS + HALF_UNIT);
         let volumes = gpu.download(&run.level.component_volume).unwrap();
         assert_close(
             "targets less what left",
@@ -558,8 +470,7 @@ fn a_level_exchanges_as_in_the_twin() {
                 (f64::from(volumes[k + 1]), target, bound, [k, 0, 0])
             }),
         );
-        let sum =
-            |of: &[reference::CellVolume]| of.iter().map(|(_, volume)| volume / one).sum::<f64>();
+        let sum = |of: &[reference::CellVolume]| of.iter().map(|(_, volume)| volume / one).sum::<f64>();
         let filled_whole = fills.iter().sum::<f64>() / one;
         seen[0] |= sum(&left) > 1.0;
         seen[1] |= sum(&sunk) > 1.0;
@@ -599,9 +510,7 @@ fn a_level_exchanges_as_in_the_twin() {
         };
         let in_cells: Vec<f64> = (0..grid.n_cells()).map(in_cell).collect();
         let mut shares = reference::shared_volumes(&targets, &origins, &new, &in_cells);
-        let inflows: Vec<f64> = (0..3)
-            .map(|source| run.taps.inflow(running, source, dt))
-            .collect();
+        let inflows: Vec<f64> = (0..3).map(|source| run.taps.inflow(running, source, dt)).collect();
         seen[3] |= inflows.iter().any(|&inflow| inflow > 0.0);
         reference::add_sources(&run.taps, &fills, &inflows, &new.label, &mut shares);
         let whole = f64::from(run.step().volume_0) + one * (filled_whole - sum(&left) - sum(&sunk));
@@ -611,8 +520,7 @@ fn a_level_exchanges_as_in_the_twin() {
         assert!((shares.iter().sum::<f64>() - unlimited - limited).abs() < 1e-12);
         // A target is a share of volumes that are off by at most 40 roundings of the whole and a rounding of each cell.
         let n = grid.n_cells() as f64;
-        let bound =
-            40.0 * EPS * whole / one + n * (16.0 * EPS + HALF_UNIT) + removed_bound + fill_bound;
+        let bound = 40.0 * EPS * whole / one + n * (16.0 * EPS + HALF_UNIT) + removed_bound + fill_bound;
         assert_close(
             "targets",
             shares
@@ -622,24 +530,11 @@ fn a_level_exchanges_as_in_the_twin() {
                 .map(|(k, (twin, gpu))| (gpu / one, twin / one, bound, [k, 1, 0])),
         );
         let limit_bound = new.volume.len() as f64 * bound;
-        assert_close(
-            "limits",
-            [(exchanged.limited, limited / one, limit_bound, [0; 3])],
-        );
-        assert_close(
-            "liquid",
-            [(
-                exchanged.liquid,
-                new.volume.iter().sum::<f64>() / one,
-                bound,
-                [0; 3],
-            )],
-        );
+        assert_close("limits", [(exchanged.limited, limited / one, limit_bound, [0; 3])]);
+        assert_close("liquid", [(exchanged.liquid, new.volume.iter().sum::<f64>() / one, bound, [0; 3])]);
         // Exact sums: the host's bookkeeping is that of the targets but for their rounding.
         let sum_of_targets: f64 = state.component_volume.iter().sum();
-        let booked = f64::from(run.step().volume_0) / one + exchanged.filled
-            - exchanged.left
-            - exchanged.sunk
+        let booked = f64::from(run.step().volume_0) / one + exchanged.filled - exchanged.left - exchanged.sunk
             + exchanged.limited;
         assert_close("booked", [(sum_of_targets / one, booked, bound, [0; 3])]);
     }
@@ -655,12 +550,7 @@ fn a_source_in_two_components_shares_its_volume_by_cells() {
     let grid = scene.grid();
     let cut = obstacle_cut(&scene, &grid).unwrap().cut;
     let taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
-    let own: Vec<usize> = taps
-        .source_cells
-        .iter()
-        .filter(|of| of.1 == 0)
-        .map(|of| of.0)
-        .collect();
+    let own: Vec<usize> = taps.source_cells.iter().filter(|of| of.1 == 0).map(|of| of.0).collect();
     let mut label = vec![0; grid.n_cells()];
     for (index, &cell) in own.iter().enumerate() {
         label[cell] = [1, 2, 2, 0][index % 4];
@@ -679,10 +569,7 @@ fn a_source_in_two_components_shares_its_volume_by_cells() {
 /// the transport loses, to the roundings of the sums.
 #[test]
 fn the_flux_of_a_full_column_is_the_loss_of_its_level() {
-    let grid = Grid {
-        cells: [6, 4, 4],
-        dx: 0.25,
-    };
+    let grid = Grid { cells: [6, 4, 4], dx: 0.25 };
     let side = Sides::default().with(Axis::X, 1);
     let level: Vec<f64> = (0..grid.n_cells())
         .map(|cell| {
@@ -690,13 +577,11 @@ fn the_flux_of_a_full_column_is_the_loss_of_its_level() {
             2.25 - x.x
         })
         .collect();
-    let faces =
-        Axis::ALL.map(|axis| vec![if axis == Axis::X { 0.5 } else { 0.0 }; grid.n_faces(axis)]);
+    let faces = Axis::ALL.map(|axis| vec![if axis == Axis::X { 0.5 } else { 0.0 }; grid.n_faces(axis)]);
     let open = Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]);
     let dt = 0.2;
     let after = reference::advect_level(&grid, side, &faces, &Ballistic::NONE, &level, dt);
-    let volume =
-        |level: &[f64]| level.iter().map(|&phi| filled(phi)).sum::<f64>() * grid.cell_volume();
+    let volume = |level: &[f64]| level.iter().map(|&phi| filled(phi)).sum::<f64>() * grid.cell_volume();
     let left = reference::outflow(&grid, side, &open, &faces, &level, dt);
     let left: f64 = left.iter().map(|(_, volume)| volume).sum();
     let lost = volume(&level) - volume(&after);

@@ -78,20 +78,13 @@ fn cut(grid: &Grid, distance: &dyn Fn(DVec3) -> f64) -> CutCells {
     let solid_distance = (0..grid.n_cells())
         .map(|cell| single(distance(grid.cell_centre(grid.cell_at(cell))).clamp(-reach, reach)))
         .collect();
-    CutCells {
-        open,
-        solid_distance,
-    }
+    CutCells { open, solid_distance }
 }
 
 /// A position inside a cell, off its faces and its middle planes, so that rounding cannot put it elsewhere.
 fn in_cell(random: &mut Random, grid: &Grid, ijk: [usize; 3]) -> [f64; 3] {
     std::array::from_fn(|a| {
-        let side = if random.uniform(0.0, 1.0) < 0.5 {
-            0.0
-        } else {
-            0.5
-        };
+        let side = if random.uniform(0.0, 1.0) < 0.5 { 0.0 } else { 0.5 };
         single((ijk[a] as f64 + side + random.uniform(0.01, 0.49)) * grid.dx)
     })
 }
@@ -149,24 +142,13 @@ impl Case {
                 state.markers.push(in_cell(&mut random, &grid, ijk));
             }
         }
-        Case {
-            name,
-            grid,
-            effects,
-            cut,
-            sides: Sides::default(),
-            state,
-            cfl,
-            dt: single(cfl * grid.dx / speed),
-        }
+        Case { name, grid, effects, cut, sides: Sides::default(), state, cfl, dt: single(cfl * grid.dx / speed) }
     }
 
     /// With open sides, of whose faces bodies leave nothing, a part or all.
     fn with_open(mut self, name: &'static str, sides: &[(Axis, usize)]) -> Case {
         self.name = name;
-        self.sides = sides.iter().fold(Sides::default(), |open, &(axis, side)| {
-            open.with(axis, side)
-        });
+        self.sides = sides.iter().fold(Sides::default(), |open, &(axis, side)| open.with(axis, side));
         self.effects.open_sides = true;
         let mut random = Random(11);
         for axis in Axis::ALL {
@@ -220,9 +202,7 @@ impl Case {
         let blocks: Vec<bool> = (0..64).map(|_| random.uniform(0.0, 1.0) < 0.5).collect();
         // After a solve.
         self.state.step = 1;
-        let State {
-            active, ballistic, ..
-        } = &mut self.state;
+        let State { active, ballistic, .. } = &mut self.state;
         for (cell, active) in active.iter_mut().enumerate() {
             let [i, j, k] = self.grid.cell_at(cell).map(|at| at / 3 % 4);
             *active = random.uniform(0.0, 1.0) < 0.9;
@@ -233,9 +213,7 @@ impl Case {
 
     /// The twin's liquid that touches nothing.
     pub(crate) fn ballistic(&self) -> Ballistic<'_> {
-        let State {
-            active, ballistic, ..
-        } = &self.state;
+        let State { active, ballistic, .. } = &self.state;
         let dt = f64::from(self.dt as f32);
         // Liquid without markers is that of a fixed surface to the device.
         let cells = match self.state.markers.is_empty() {
@@ -272,11 +250,7 @@ impl Case {
     }
 
     /// Whether the cell, or the face with its index, is in the band.
-    pub(crate) fn in_band(
-        &self,
-        gpu: &Gpu,
-        buffers: &LiquidBuffers,
-    ) -> impl Fn([usize; 3]) -> bool + use<> {
+    pub(crate) fn in_band(&self, gpu: &Gpu, buffers: &LiquidBuffers) -> impl Fn([usize; 3]) -> bool + use<> {
         let flags = gpu.download(&buffers.band_flags).unwrap();
         let padded = buffers.padded;
         move |ijk| flags[padded.index(ijk) / 4] != 0
@@ -334,13 +308,7 @@ impl ActiveBuffers {
             .collect();
         let [x, y, z] = cutwater::gpu::groups((list.len() as u32).div_ceil(64));
         let args = [x, y, z, list.len() as u32];
-        ActiveBuffers {
-            grid: *grid,
-            flags,
-            list,
-            args,
-            cells,
-        }
+        ActiveBuffers { grid: *grid, flags, list, args, cells }
     }
 
     /// Arrays of the solver with these unknowns.
@@ -358,19 +326,13 @@ impl ActiveBuffers {
 }
 
 /// The largest excess of |gpu - twin| over its bound; fails with the place where it is.
-pub(crate) fn assert_close(
-    what: &str,
-    pairs: impl IntoIterator<Item = (f64, f64, f64, [usize; 3])>,
-) {
+pub(crate) fn assert_close(what: &str, pairs: impl IntoIterator<Item = (f64, f64, f64, [usize; 3])>) {
     let mut worst = (0.0, String::new());
     for (gpu, twin, bound, place) in pairs {
         let excess = (gpu - twin).abs() / bound.max(f64::MIN_POSITIVE);
         // Not-a-number must not pass.
         if excess > worst.0 || excess.is_nan() {
-            worst = (
-                excess,
-                format!("at {place:?}: {gpu:e} on the GPU, {twin:e} in the twin, bound {bound:e}"),
-            );
+            worst = (excess, format!("at {place:?}: {gpu:e} on the GPU, {twin:e} in the twin, bound {bound:e}"));
         }
     }
     assert!(worst.0 <= 1.0, "{what}: {}", worst.1);
@@ -397,10 +359,7 @@ pub(crate) fn cases() -> Vec<Case> {
     let size = at_walls.grid.size().to_array();
     let sides = [0, 1].map(|side| size.map(|n| f64::from(side) * n));
     for c in 0..8 {
-        at_walls
-            .state
-            .markers
-            .push(std::array::from_fn(|a| sides[c >> a & 1][a]));
+        at_walls.state.markers.push(std::array::from_fn(|a| sides[c >> a & 1][a]));
     }
     let both_along_x = [(Axis::X, 0), (Axis::X, 1)];
     let every_side = Axis::ALL.map(|axis| [(axis, 0), (axis, 1)]);
@@ -417,22 +376,8 @@ pub(crate) fn cases() -> Vec<Case> {
             .with_open("one cell, all open", every_side.as_flattened()),
         Case::new("half full", [21, 13, 18], 0.05, 3.0, None, half_full),
         Case::new("splashes", [16, 24, 9], 0.1, 5.0, None, splashes),
-        Case::new(
-            "block",
-            [18, 17, 19],
-            0.07,
-            3.0,
-            Some(&boxed(DVec3::new(3.2, 5.1, 2.6))),
-            half_full,
-        ),
-        Case::new(
-            "block in splashes",
-            [15, 16, 12],
-            0.0625,
-            5.0,
-            Some(&boxed(DVec3::new(4.0, 0.8, 4.0))),
-            splashes,
-        ),
+        Case::new("block", [18, 17, 19], 0.07, 3.0, Some(&boxed(DVec3::new(3.2, 5.1, 2.6))), half_full),
+        Case::new("block in splashes", [15, 16, 12], 0.0625, 5.0, Some(&boxed(DVec3::new(4.0, 0.8, 4.0))), splashes),
         Case::new("thin gap", [12, 10, 11], 0.1, 2.0, Some(&gap), everywhere),
         Case::new("all solid", [9, 6, 5], 0.1, 2.0, Some(&solid), everywhere),
         Case::new("all liquid", [11, 10, 9], 0.1, 1.5, None, everywhere),

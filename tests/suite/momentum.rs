@@ -42,17 +42,11 @@ fn cases() -> Vec<Case> {
     let case = |name, text: String, obstacles: &[Block], free| {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("test.toml");
-        let boxes = obstacles.iter().map(|[low, high]| {
-            format!("[[obstacle]]\nbox = {{ min = {low:?}, max = {high:?} }}\n")
-        });
+        let boxes =
+            obstacles.iter().map(|[low, high]| format!("[[obstacle]]\nbox = {{ min = {low:?}, max = {high:?} }}\n"));
         fs::write(&path, text + &boxes.collect::<String>()).unwrap();
         let (obstacles, scene) = (obstacles.to_vec(), Scene::load(&path, &[], 1.0).unwrap());
-        Case {
-            name,
-            scene,
-            obstacles,
-            free,
-        }
+        Case { name, scene, obstacles, free }
     };
     let tank = |liquid: &str, solid: &str| {
         format!(
@@ -102,25 +96,10 @@ damping = { stiffness = 0.01 }";
     let full = "surface = \"fixed\"\n[[liquid.region]]\nhalf_space = { point = [0, 2, 0], normal = [0, 1, 0] }";
     let markers = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [0.6, 0.8, 1] }";
     vec![
-        case(
-            "a ball in the surface",
-            tank(fixed, ball),
-            &[post, bar],
-            true,
-        ),
+        case("a ball in the surface", tank(fixed, ball), &[post, bar], true),
         case("a ball in a full tank", tank(full, ball), &[post], true),
-        case(
-            "a ball that meets a column",
-            tank(markers, ball),
-            &[bar],
-            true,
-        ),
-        case(
-            "a beam on the floor, and a plank",
-            tank(fixed, beam),
-            &[bar],
-            false,
-        ),
+        case("a ball that meets a column", tank(markers, ball), &[bar], true),
+        case("a beam on the floor, and a plank", tank(fixed, beam), &[bar], false),
     ]
 }
 
@@ -152,13 +131,7 @@ impl Moment<'_> {
     /// Checks all balances. `rounding`: of the root of the sum of the squares of what they sum up; `closed`: how far open fractions may be
     /// from those measured here.
     fn check(&self, solids: &Solids, rounding: f64, closed: f64) {
-        let Moment {
-            case,
-            grid,
-            dt,
-            report,
-            ..
-        } = self;
+        let Moment { case, grid, dt, report, .. } = self;
         let what = format!("{}: {report:?}", case.name);
         let coupling = report.coupling.unwrap();
         let [force, correction] = [coupling.force, coupling.correction].map(DVec3::from);
@@ -185,23 +158,13 @@ impl Moment<'_> {
                     assert_eq!(open, 0.0, "{what}");
                 } else if open == 0.0 || open == 1.0 {
                     let clamp = case.scene.solver.area_clamp + closed;
-                    assert!(
-                        (left - open).abs() <= clamp,
-                        "{axis:?} {ijk:?} is {left} open, not {open}: {what}"
-                    );
+                    assert!((left - open).abs() <= clamp, "{axis:?} {ijk:?} is {left} open, not {open}: {what}");
                 } else {
-                    assert!(
-                        (left - open).abs() <= closed,
-                        "{axis:?} {ijk:?} is {left} open, not {open}: {what}"
-                    );
+                    assert!((left - open).abs() <= closed, "{axis:?} {ijk:?} is {left} open, not {open}: {what}");
                 }
                 // What neither is open nor lies in a solid: obstacles, walls, and what the clamp takes or gives.
                 let clamped = open == 0.0 || open == 1.0;
-                let others = if clamped {
-                    (1.0 - open) * area - in_solids
-                } else {
-                    area - in_solids - left * area
-                };
+                let others = if clamped { (1.0 - open) * area - in_solids } else { area - in_solids - left * area };
                 for (side, sign) in sides.into_iter().zip([1.0, -1.0]) {
                     let Some(cell) = side.filter(|&cell| self.active[cell]) else {
                         continue;
@@ -215,9 +178,7 @@ impl Moment<'_> {
                 if open == 0.0 || inside == [false; 2] {
                     continue;
                 }
-                let [Some(minus), Some(plus)] = sides else {
-                    panic!("a wall is open: {what}")
-                };
+                let [Some(minus), Some(plus)] = sides else { panic!("a wall is open: {what}") };
                 let theta = match inside {
                     [true, true] => 1.0,
                     [true, false] => self.theta(minus, plus),
@@ -237,17 +198,11 @@ impl Moment<'_> {
             }
         }
         for (own, of_b) in dirichlet.iter().zip(&self.dirichlet) {
-            assert!(
-                (own - of_b).abs() <= closed.max(rounding) * (1.0 + of_b),
-                "{own} {of_b}: {what}"
-            );
+            assert!((own - of_b).abs() <= closed.max(rounding) * (1.0 + of_b), "{own} {of_b}: {what}");
         }
         let bound = rounding * squares.sqrt();
         let balanced = |what_of: &str, sum: DVec3| {
-            assert!(
-                sum.length() <= bound,
-                "{what_of}: {sum} kg m/s, not {bound:e}, {what}"
-            );
+            assert!(sum.length() <= bound, "{what_of}: {sum} kg m/s, not {bound:e}, {what}");
         };
         // The pressure's push on what is known of solids here, and on the rest.
         balanced("liquid, by sections", gained + on_solids + on_others);
@@ -255,9 +210,8 @@ impl Moment<'_> {
         balanced("liquid, by J^T p", gained + dt * force + on_others);
         if case.free {
             let masses = solids.mass.iter().zip(&self.nodes[0]).zip(&self.nodes[1]);
-            let of_solids: DVec3 = masses
-                .map(|((mass, before), after)| *mass * (DVec3::from(*after) - DVec3::from(*before)))
-                .sum();
+            let of_solids: DVec3 =
+                masses.map(|((mass, before), after)| *mass * (DVec3::from(*after) - DVec3::from(*before))).sum();
             balanced("solids", of_solids - dt * (force + correction));
             balanced("all", gained + of_solids - dt * correction + on_others);
         }
@@ -280,11 +234,7 @@ impl Moment<'_> {
                 let from = dx * ijk[b] as f64;
                 (high[b].min(from + dx) - low[b].max(from)).max(0.0)
             });
-            if low[a] < at && at < high[a] {
-                across[0] * across[1]
-            } else {
-                0.0
-            }
+            if low[a] < at && at < high[a] { across[0] * across[1] } else { 0.0 }
         };
         self.case.obstacles.iter().map(of_block).sum()
     }
@@ -387,10 +337,7 @@ fn what_the_liquid_gains_is_what_everything_else_loses() {
             let v = v.map(|v| (DVec3::from(*v) + dt * case.scene.domain.gravity).to_array());
             let v = v.collect();
             let mut stencil: Option<Stencil> = None;
-            let time_step = TimeStep {
-                dt,
-                ..reference.next_time_step()
-            };
+            let time_step = TimeStep { dt, ..reference.next_time_step() };
             let look = &mut |system: StepSystem| match system {
                 StepSystem::Coupled(system, ..) => stencil = Some(system.pressure.stencil.clone()),
                 _ => panic!("{}: they do not touch", case.name),

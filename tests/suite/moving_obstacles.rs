@@ -16,26 +16,14 @@ use crate::common::Random;
 use crate::reference_physics::{GRAVITY, pool, scene};
 
 fn still(shape: Shape) -> Obstacle {
-    Obstacle {
-        shape,
-        placement: Placement::default(),
-        inside_out: false,
-        motion: None,
-    }
+    Obstacle { shape, placement: Placement::default(), inside_out: false, motion: None }
 }
 
 /// At rest at t = 0, and where the second keyframe puts it at t = 1.
 fn moving(translate: DVec3, axis: DVec3, angle: f64, pivot: Option<DVec3>) -> Motion {
-    let frame = |time, share| Keyframe {
-        time,
-        translate: share * translate,
-        axis: axis.normalize(),
-        angle: share * angle,
-    };
-    Motion {
-        keyframes: vec![frame(0.0, 0.0), frame(1.0, 1.0)],
-        pivot,
-    }
+    let frame =
+        |time, share| Keyframe { time, translate: share * translate, axis: axis.normalize(), angle: share * angle };
+    Motion { keyframes: vec![frame(0.0, 0.0), frame(1.0, 1.0)], pivot }
 }
 
 fn vector(random: &mut Random, low: f64, high: f64) -> DVec3 {
@@ -47,48 +35,24 @@ fn shapes(folder: &Path) -> Vec<(Shape, DVec3, bool)> {
     let file = folder.join("wedge.obj");
     let text = "v 0.3 0.2 0.3\nv 0.7 0.2 0.3\nv 0.5 0.7 0.45\nv 0.5 0.3 0.8\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
     fs::write(&file, text).unwrap();
-    let cuboid = |min: f64, max: f64| Shape::Box {
-        min: DVec3::splat(min),
-        max: DVec3::splat(max),
-    };
+    let cuboid = |min: f64, max: f64| Shape::Box { min: DVec3::splat(min), max: DVec3::splat(max) };
     let centre = DVec3::splat(0.5);
     vec![
         (cuboid(0.31, 0.62), DVec3::splat(0.465), false),
+        (Shape::Sphere { centre, radius: 0.21 }, centre, false),
         (
-            Shape::Sphere {
-                centre,
-                radius: 0.21,
-            },
-            centre,
-            false,
-        ),
-        (
-            Shape::Cylinder {
-                base: DVec3::new(0.5, 0.1, 0.5),
-                axis: DVec3::Y,
-                radius: 0.15,
-                height: 0.6,
-            },
+            Shape::Cylinder { base: DVec3::new(0.5, 0.1, 0.5), axis: DVec3::Y, radius: 0.15, height: 0.6 },
             DVec3::new(0.5, 0.4, 0.5),
             false,
         ),
-        (
-            Shape::Mesh {
-                file: file.into(),
-                unit: 1.0,
-            },
-            DVec3::new(0.5, 0.45, 0.55),
-            false,
-        ),
+        (Shape::Mesh { file: file.into(), unit: 1.0 }, DVec3::new(0.5, 0.45, 0.55), false),
         (cuboid(0.15, 0.85), centre, true),
     ]
 }
 
 /// Largest difference between two fields.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
-    a.iter()
-        .zip(b)
-        .fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()))
+    a.iter().zip(b).fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()))
 }
 
 #[test]
@@ -97,30 +61,16 @@ fn a_moved_obstacle_cuts_as_one_that_is_placed_there() {
     let mut random = Random(11);
     let mut scene = scene([17, 17, 17], &pool(0.5));
     let grid = scene.grid();
-    let post = Shape::Sphere {
-        centre: DVec3::new(0.8, 0.3, 0.4),
-        radius: 0.12,
-    };
+    let post = Shape::Sphere { centre: DVec3::new(0.8, 0.3, 0.4), radius: 0.12 };
     for (shape, centre, inside_out) in shapes(folder.path()) {
         for pose in 0..6 {
-            let (translate, axis) = (
-                vector(&mut random, -0.2, 0.2),
-                vector(&mut random, -1.0, 1.0),
-            );
+            let (translate, axis) = (vector(&mut random, -0.2, 0.2), vector(&mut random, -1.0, 1.0));
             // Straight and turned, about the middle and about a point aside.
             let angle = [0.0, 1.1][pose % 2];
             let pivot = (pose > 2).then(|| vector(&mut random, 0.2, 0.8));
-            let body = |placement, motion| Obstacle {
-                placement,
-                inside_out,
-                motion,
-                ..still(shape.clone())
-            };
+            let body = |placement, motion| Obstacle { placement, inside_out, motion, ..still(shape.clone()) };
             let motion = moving(translate, axis, angle, pivot);
-            scene.obstacles = vec![
-                still(post.clone()),
-                body(Placement::default(), Some(motion)),
-            ];
+            scene.obstacles = vec![still(post.clone()), body(Placement::default(), Some(motion))];
             let mut moved = obstacle_cut(&scene, &grid).unwrap();
             moved.move_to(1.0, 0.1);
             let turn = DMat3::from_axis_angle(axis.normalize(), angle);
@@ -163,12 +113,7 @@ fn where_it_was_before_leaves_no_trace() {
         .collect();
     let fields = |cut: &ObstacleCut| {
         let walls = cut.wall_velocities().to_vec();
-        (
-            cut.cut.open.clone(),
-            cut.cut.solid_distance.clone(),
-            cut.flux().to_vec(),
-            walls,
-        )
+        (cut.cut.open.clone(), cut.cut.solid_distance.clone(), cut.flux().to_vec(), walls)
     };
     let mut used = obstacle_cut(&scene, &grid).unwrap();
     for time in [0.7, 0.2, 1.5, 0.0, 0.9] {
@@ -185,17 +130,8 @@ fn what_obstacles_take_up_is_what_they_displace() {
     let mut scene = scene([15, 15, 15], &pool(0.5));
     let grid = scene.grid();
     for (shape, _, inside_out) in shapes(folder.path()) {
-        let motion = moving(
-            DVec3::new(0.2, -0.1, 0.3),
-            DVec3::new(1.0, -2.0, 0.5),
-            1.0,
-            None,
-        );
-        scene.obstacles = vec![Obstacle {
-            inside_out,
-            motion: Some(motion),
-            ..still(shape.clone())
-        }];
+        let motion = moving(DVec3::new(0.2, -0.1, 0.3), DVec3::new(1.0, -2.0, 0.5), 1.0, None);
+        scene.obstacles = vec![Obstacle { inside_out, motion: Some(motion), ..still(shape.clone()) }];
         let mut cut = obstacle_cut(&scene, &grid).unwrap();
         cut.move_to(0.0, 0.02);
         let net: f64 = cut.flux().iter().map(|(_, flux)| flux).sum();
@@ -205,22 +141,14 @@ fn what_obstacles_take_up_is_what_they_displace() {
         assert!(net.abs() < 1e-12 * gross, "{shape:?}: {net:e} of {gross:e}");
     }
     // A plunger of 0.3 m by 0.4 m through the lid, at 0.5 m/s.
-    let plunger = Shape::Box {
-        min: DVec3::new(0.22, 0.61, 0.33),
-        max: DVec3::new(0.52, 2.0, 0.73),
-    };
-    scene.obstacles = vec![Obstacle {
-        motion: Some(moving(DVec3::new(0.0, -0.5, 0.0), DVec3::Y, 0.0, None)),
-        ..still(plunger)
-    }];
+    let plunger = Shape::Box { min: DVec3::new(0.22, 0.61, 0.33), max: DVec3::new(0.52, 2.0, 0.73) };
+    scene.obstacles =
+        vec![Obstacle { motion: Some(moving(DVec3::new(0.0, -0.5, 0.0), DVec3::Y, 0.0, None)), ..still(plunger) }];
     let mut cut = obstacle_cut(&scene, &grid).unwrap();
     for time in [0.0, 0.3] {
         cut.move_to(time, 0.05);
         let net: f64 = cut.flux().iter().map(|(_, flux)| flux).sum();
-        assert!(
-            (net + 0.3 * 0.4 * 0.5).abs() < 1e-12,
-            "{net} m^3/s at {time} s"
-        );
+        assert!((net + 0.3 * 0.4 * 0.5).abs() < 1e-12, "{net} m^3/s at {time} s");
     }
     // After its last keyframe it stands.
     cut.move_to(1.0, 0.05);
@@ -234,12 +162,7 @@ fn start(scene: &Scene) -> Reference {
 }
 
 fn step(reference: &mut Reference, dt: f64) -> StepReport {
-    reference
-        .step(TimeStep {
-            dt,
-            ..reference.next_time_step()
-        })
-        .unwrap()
+    reference.step(TimeStep { dt, ..reference.next_time_step() }).unwrap()
 }
 
 /// Seen from a tank that moves evenly, water in it is at rest: its velocity is the tank's everywhere, but for rounding. No face is so nearly
@@ -247,10 +170,7 @@ fn step(reference: &mut Reference, dt: f64) -> StepReport {
 #[test]
 fn water_in_a_tank_that_moves_evenly_moves_with_it() {
     let velocity = DVec3::new(0.375, 0.0, -0.25);
-    let pool = pool(0.52).replace(
-        "[[liquid.region]]",
-        "[[liquid.region]]\nvelocity = [0.375, 0.0, -0.25]",
-    );
+    let pool = pool(0.52).replace("[[liquid.region]]", "[[liquid.region]]\nvelocity = [0.375, 0.0, -0.25]");
     let tank = format!(
         "{pool}[[obstacle]]\nbox = {{ min = [0.21, 0.13, 0.33], max = [0.69, 0.93, 0.84] }}\ninside_out = true\n\
          keyframes = [{{ t = 0 }}, {{ t = 1, translate = [0.375, 0.0, -0.25] }}]\n"
@@ -270,14 +190,10 @@ fn water_in_a_tank_that_moves_evenly_moves_with_it() {
             let a = axis.index();
             for (face, &u) in state.velocity[a].iter().enumerate() {
                 let sides = grid.face_sides(axis, grid.face_at(axis, face));
-                if open[a][face] > 0.0 && sides.into_iter().flatten().any(|cell| state.active[cell])
-                {
+                if open[a][face] > 0.0 && sides.into_iter().flatten().any(|cell| state.active[cell]) {
                     judged += 1;
                     let off = (u - velocity[a]).abs();
-                    assert!(
-                        off < 1e-10 * GRAVITY * dt,
-                        "step {number}, {axis:?} face {face}: off by {off:e} m/s"
-                    );
+                    assert!(off < 1e-10 * GRAVITY * dt, "step {number}, {axis:?} face {face}: off by {off:e} m/s");
                 }
             }
         }
@@ -301,11 +217,7 @@ fn a_plunger_lifts_what_it_displaces() {
         let report = step(&mut reference, 0.02);
         let liquid = report.liquid.unwrap();
         assert_eq!(liquid.solve.status, SolveStatus::Converged);
-        assert!(
-            liquid.diagnosis.divergence < 1e-5,
-            "{} 1/s",
-            liquid.diagnosis.divergence
-        );
+        assert!(liquid.diagnosis.divergence < 1e-5, "{} 1/s", liquid.diagnosis.divergence);
         let (state, open) = (reference.state(), &reference.cut_cells().open);
         let area = grid.dx * grid.dx;
         let mut outflow = 0.0;
@@ -319,10 +231,7 @@ fn a_plunger_lifts_what_it_displaces() {
                 }
             }
         }
-        assert!(
-            (outflow - rate).abs() < 1e-7 * rate,
-            "{outflow} of {rate} m^3/s"
-        );
+        assert!((outflow - rate).abs() < 1e-7 * rate, "{outflow} of {rate} m^3/s");
     }
 }
 
@@ -411,7 +320,8 @@ fn bad_motions_are_refused() {
         ),
         (format!("{ball}\nkeyframes = []"), ["bad.toml:12", "obstacle[0].keyframes", "no entry"]),
         (
-            "sphere = { centre = [5, 5, 5], radius = 0.1 }\nkeyframes = [{ t = 0 }, { t = 1, translate = [1, 0, 0] }]".into(),
+            "sphere = { centre = [5, 5, 5], radius = 0.1 }\nkeyframes = [{ t = 0 }, { t = 1, translate = [1, 0, 0] }]"
+                .into(),
             ["bad.toml:11", "obstacle[0].sphere", "outside the domain"],
         ),
     ] {

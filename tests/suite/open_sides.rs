@@ -6,8 +6,8 @@ use cutwater::Error;
 use cutwater::geometry::{initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
-    Ballistic, Lost, PressureSystem, active_cells, advect_markers, divergence, right_hand_side,
-    solve, volume_without, write_back,
+    Ballistic, Lost, PressureSystem, active_cells, advect_markers, divergence, right_hand_side, solve, volume_without,
+    write_back,
 };
 use cutwater::scene::{Scene, Solver};
 use cutwater::sim::{Plan, Simulation, reference_path};
@@ -32,11 +32,7 @@ fn scene(cells: [usize; 3], open: &str, rest: &str) -> Scene {
 }
 
 /// Sub-steps up to a frame; `each` hears of the state of the simulation after every one.
-fn run(
-    simulation: &mut Simulation,
-    frame: u64,
-    mut each: impl FnMut(&cutwater::state::StepReport),
-) {
+fn run(simulation: &mut Simulation, frame: u64, mut each: impl FnMut(&cutwater::state::StepReport)) {
     while simulation.clock().frame < frame {
         let report = simulation.step().unwrap();
         let status = report.liquid.unwrap().solve.status;
@@ -47,28 +43,15 @@ fn run(
 
 #[test]
 fn what_is_no_set_of_sides_is_refused() {
-    let liquid =
-        "[[liquid.region]]\nhalf_space = { point = [0.0, 0.5, 0.0], normal = [0.0, 1.0, 0.0] }\n";
+    let liquid = "[[liquid.region]]\nhalf_space = { point = [0.0, 0.5, 0.0], normal = [0.0, 1.0, 0.0] }\n";
     let fixed = format!("[liquid]\nsurface = \"fixed\"\n{liquid}");
     let solid = "[[solid]]\nname = \"a\"\nmesh = { box = { size = [0.1, 0.1, 0.1], cells = [1, 1, 1] } }\n\
                  placement = { translate = [0.5, 0.5, 0.5] }\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n";
     for (open, rest, line, key, cure) in [
         ("[\"left\"]", liquid, 4, "domain.open[0]", "\"-x\""),
         ("[\"+x\", \"+w\"]", liquid, 4, "domain.open[1]", "\"+z\""),
-        (
-            "[\"+x\", \"-y\", \"+x\"]",
-            liquid,
-            4,
-            "domain.open[2]",
-            "remove it",
-        ),
-        (
-            "\"+x\"",
-            liquid,
-            4,
-            "domain.open",
-            "write a list, such as [\"+x\"]",
-        ),
+        ("[\"+x\", \"-y\", \"+x\"]", liquid, 4, "domain.open[2]", "remove it"),
+        ("\"+x\"", liquid, 4, "domain.open", "write a list, such as [\"+x\"]"),
         ("[1]", liquid, 4, "domain.open[0]", "\"-x\""),
         ("[\"+x\"]", solid, 4, "domain.open", "[liquid]"),
         ("[\"+x\"]", fixed.as_str(), 9, "liquid.surface", "markers"),
@@ -76,12 +59,7 @@ fn what_is_no_set_of_sides_is_refused() {
         let refused = parse([8, 8, 8], open, rest).unwrap_err();
         let text = refused.to_string();
         let place = format!("test.toml:{line}");
-        assert!(
-            [place.as_str(), key, cure]
-                .iter()
-                .all(|part| text.contains(part)),
-            "{open}: {text}"
-        );
+        assert!([place.as_str(), key, cure].iter().all(|part| text.contains(part)), "{open}: {text}");
         assert_eq!(refused.exit_code(), 2, "{open}");
     }
     // None is a closed domain, and may be written.
@@ -128,21 +106,11 @@ fn a_full_tank_with_an_open_top_rests() {
     u[1].iter_mut().for_each(|v| *v = -dt * GRAVITY);
     let rhs = right_hand_side(&grid, &cut.open, &u, &active, None);
     let system = PressureSystem::new(active, rhs, dt, density);
-    let (pressure, _) = solve(
-        &system,
-        &Solver {
-            tolerance: 1e-13,
-            ..Solver::default()
-        },
-    )
-    .unwrap();
+    let (pressure, _) = solve(&system, &Solver { tolerance: 1e-13, ..Solver::default() }).unwrap();
     let height = grid.size().y;
     for (cell, p) in pressure.iter().enumerate() {
         let exact = density * GRAVITY * (height - grid.cell_centre(grid.cell_at(cell)).y);
-        assert!(
-            (p - exact).abs() < 1e-9 * density * GRAVITY,
-            "{p} for {exact}"
-        );
+        assert!((p - exact).abs() < 1e-9 * density * GRAVITY, "{p} for {exact}");
     }
     let valid = write_back(&system, &pressure, &cut.open, &phi, 0.15, &mut u);
     let on_top = grid.face(Axis::Y, [2, 4, 1]);
@@ -176,36 +144,16 @@ fn liquid_between_open_sides_falls_freely() {
 
 #[test]
 fn markers_leave_through_open_sides_alone() {
-    let grid = Grid {
-        cells: [4, 4, 4],
-        dx: 0.25,
-    };
+    let grid = Grid { cells: [4, 4, 4], dx: 0.25 };
     let far = vec![3.0 * grid.dx; grid.n_cells()];
     let mut faces = State::at_rest(&grid).velocity;
     faces[0].iter_mut().for_each(|u| *u = 1.0);
     let markers = [[0.95, 0.5, 0.5], [0.5, 0.5, 0.5], [0.85, 0.2, 0.2]];
     let deep = far_below(&grid);
     let surface = surface(&grid, &deep);
-    let moved = |sides| {
-        advect_markers(
-            &grid,
-            sides,
-            &faces,
-            &far,
-            &surface,
-            &Ballistic::NONE,
-            &markers,
-            0.1,
-        )
-    };
+    let moved = |sides| advect_markers(&grid, sides, &faces, &far, &surface, &Ballistic::NONE, &markers, 0.1);
     let (kept, lost) = moved(Sides::default().with(Axis::X, 1));
-    assert_eq!(
-        lost,
-        Lost {
-            dropped: 0,
-            left: 1
-        }
-    );
+    assert_eq!(lost, Lost { dropped: 0, left: 1 });
     assert_eq!(kept.len(), 2);
     assert!((kept[0][0] - 0.6).abs() < 1e-12 && (kept[1][0] - 0.95).abs() < 1e-12);
     // The wall holds them, whatever other sides do.
@@ -283,11 +231,8 @@ fn a_tank_runs_dry_as_torricelli_says() {
 #[test]
 fn a_domain_without_a_floor_runs_empty() {
     let Some(_) = gpu() else { return };
-    let scene = scene(
-        [12, 16, 5],
-        "[\"-y\"]",
-        "[[liquid.region]]\nbox = { min = [0.25, 0.5, 0.1], max = [0.75, 1.0, 0.3] }\n",
-    );
+    let scene =
+        scene([12, 16, 5], "[\"-y\"]", "[[liquid.region]]\nbox = { min = [0.25, 0.5, 0.1], max = [0.75, 1.0, 0.3] }\n");
     let mut simulation = on_gpu(&scene);
     let start = simulation.state().unwrap();
     let mut left = 0;
@@ -299,10 +244,7 @@ fn a_domain_without_a_floor_runs_empty() {
     });
     let state = simulation.state().unwrap();
     assert_eq!((state.markers.len(), state.volume_0), (0, 0.0));
-    assert_eq!(
-        (state.markers_left, state.markers_dropped),
-        (start.markers.len() as u64, 0)
-    );
+    assert_eq!((state.markers_left, state.markers_dropped), (start.markers.len() as u64, 0));
     run(&mut simulation, 20, |report| {
         let liquid = report.liquid.unwrap();
         assert_eq!((liquid.solve.unknowns, liquid.diagnosis.volume), (0, 0.0));
@@ -343,10 +285,7 @@ fn what_is_sucked_in_brings_no_energy() {
     // the outermost markers.
     let fallen = mass * 6.0 * 0.5;
     println!("energy gained between walls and with an open side: {gains:?} of {fallen} J");
-    assert!(
-        gains[1] < gains[0] + 0.5 / 12.0 * fallen,
-        "{gains:?} of {fallen} J"
-    );
+    assert!(gains[1] < gains[0] + 0.5 / 12.0 * fallen, "{gains:?} of {fallen} J");
 }
 
 #[test]
@@ -362,10 +301,7 @@ fn runs_with_open_sides_repeat_and_go_on_from_a_state() {
     let end = simulation.state().unwrap();
     for (from, what) in [(&start, "again"), (&third, "on from half the way")] {
         simulation.reset(from).unwrap();
-        assert!(
-            simulation.state().unwrap().markers == from.markers,
-            "{what}: as it was put"
-        );
+        assert!(simulation.state().unwrap().markers == from.markers, "{what}: as it was put");
         run(&mut simulation, 12, |_| {});
         assert!(simulation.state().unwrap() == end, "{what}");
     }
@@ -381,15 +317,8 @@ fn open_sides_allocate_and_compile_nothing() {
     let [closed, open] = ["[]", "[\"+x\"]"].map(plan);
     assert_eq!(closed.stages, open.stages);
     for (without, with) in closed.buffers.iter().zip(&open.buffers) {
-        let more = if with.label.starts_with("liquid.report") {
-            32
-        } else {
-            0
-        };
-        assert_eq!(
-            (&without.label, without.bytes() + more),
-            (&with.label, with.bytes())
-        );
+        let more = if with.label.starts_with("liquid.report") { 32 } else { 0 };
+        assert_eq!((&without.label, without.bytes() + more), (&with.label, with.bytes()));
     }
     assert_eq!(closed.buffers.len(), open.buffers.len());
     for (plan, present) in [(closed, false), (open, true)] {

@@ -13,8 +13,7 @@ use cutwater::output::preview::{Colour, PreviewOptions, preview};
 use cutwater::output::tables::{StepRow, StepTable};
 use cutwater::scene::{CameraCut, Scene};
 use cutwater::state::{
-    ContactReport, CouplingReport, SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State,
-    StepReport,
+    ContactReport, CouplingReport, SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State, StepReport,
 };
 use glam::DVec3;
 
@@ -95,12 +94,7 @@ impl Case {
     }
 
     pub(crate) fn manifest(&self) -> Manifest {
-        let options = RunOptions {
-            backend: "cpu".into(),
-            frames: 24,
-            scale: 1.0,
-            overrides: Vec::new(),
-        };
+        let options = RunOptions { backend: "cpu".into(), frames: 24, scale: 1.0, overrides: Vec::new() };
         let manifest = Manifest::new(&self.scene, options, None);
         manifest.with_solids(&self.scene, &self.solids).unwrap()
     }
@@ -123,21 +117,13 @@ fn solids_read_back_exactly() {
     let Some(python) = python() else { return };
     let run = tempfile::tempdir().unwrap();
     let mut case = Case::new();
-    assert_eq!(
-        FrameKinds::of(&case.scene),
-        FrameKinds {
-            solids: true,
-            ..FrameKinds::default()
-        }
-    );
+    assert_eq!(FrameKinds::of(&case.scene), FrameKinds { solids: true, ..FrameKinds::default() });
     // One pulled along x, one turned inside out along y.
     let stretch = 0.125;
     case.displace(0, |x| stretch * (x.x - 0.25) * DVec3::X);
     case.displace(1, |x| -1.5 * (x.y - 0.2) * DVec3::Y);
     let n = case.solids.rest.len();
-    case.state.node_velocity = (0..n)
-        .map(|node| [0, 1, 2].map(|axis| ((3 * node + axis) as f64).sin()))
-        .collect();
+    case.state.node_velocity = (0..n).map(|node| [0, 1, 2].map(|axis| ((3 * node + axis) as f64).sin())).collect();
     case.state.frame = 7;
     case.state.time = 7.0 / 24.0;
     let mut writer = case.writer(run.path());
@@ -145,16 +131,11 @@ fn solids_read_back_exactly() {
 
     let frames = run.path().join("frames");
     let found = read(&python, &frames.join("blocks_000007.vtu"));
-    let position = |node: usize, axis: usize| {
-        case.solids.rest[node][axis] + case.state.displacement[node][axis]
-    };
+    let position = |node: usize, axis: usize| case.solids.rest[node][axis] + case.state.displacement[node][axis];
     let positions = (0..n).flat_map(|node| [0, 1, 2].map(|axis| position(node, axis)));
     assert_eq!(flat(&found["coordinates"]), f32s(positions));
     let corners = case.solids.elements.iter().flatten();
-    assert_eq!(
-        flat(&found["connectivity"]["TETRA"]),
-        f32s(corners.map(|&node| f64::from(node)))
-    );
+    assert_eq!(flat(&found["connectivity"]["TETRA"]), f32s(corners.map(|&node| f64::from(node))));
     let numbers = |values: &[[f64; 3]]| f32s(values.iter().flatten().copied());
     let of_nodes = |name: &str| flat(&found["points"][name]["values"]);
     assert_eq!(of_nodes("displacement"), numbers(&case.state.displacement));
@@ -187,12 +168,8 @@ fn solids_read_back_exactly() {
 fn a_node_that_is_not_finite_is_refused() {
     type Spoil = fn(&mut State, f64);
     let cases: [(&str, Spoil); 2] = [
-        ("position of node 3", |state, bad| {
-            state.displacement[3][1] = bad
-        }),
-        ("velocity of node 5", |state, bad| {
-            state.node_velocity[5][2] = bad
-        }),
+        ("position of node 3", |state, bad| state.displacement[3][1] = bad),
+        ("velocity of node 5", |state, bad| state.node_velocity[5][2] = bad),
     ];
     for (place, spoil) in cases {
         for bad in [f64::NAN, f64::NEG_INFINITY, 1e39] {
@@ -209,16 +186,8 @@ fn a_node_that_is_not_finite_is_refused() {
 
 fn solid_report() -> SolidReport {
     SolidReport {
-        solve: SolveReport {
-            unknowns: 321,
-            iterations: 17,
-            residual: 3.25e-9,
-            status: SolveStatus::Stagnated,
-        },
-        contact: ContactReport {
-            solves: 5,
-            unsettled: 2,
-        },
+        solve: SolveReport { unknowns: 321, iterations: 17, residual: 3.25e-9, status: SolveStatus::Stagnated },
+        contact: ContactReport { solves: 5, unsettled: 2 },
         diagnosis: SolidDiagnosis {
             momentum: [1.0 / 3.0, -2e-17, 3e20],
             angular_momentum: [4.0, 5.5, -6.0],
@@ -258,29 +227,15 @@ fn tables_of_solids_read_back_exactly() {
             seconds: vec![("solve", 0.5)],
             seconds_total: 0.5,
         };
-        let row = StepRow {
-            step: 4,
-            time: 0.75,
-            report: &report,
-            volume_ratio: liquid.map(|_| 0.5),
-        };
+        let row = StepRow { step: 4, time: 0.75, report: &report, volume_ratio: liquid.map(|_| 0.5) };
         let mut table = StepTable::create(run.path()).unwrap();
         table.push(&row).unwrap();
-        let bare = StepReport {
-            solid: None,
-            coupling: None,
-            ..report.clone()
-        };
-        let error = table.push(&StepRow {
-            report: &bare,
-            ..row
-        });
+        let bare = StepReport { solid: None, coupling: None, ..report.clone() };
+        let error = table.push(&StepRow { report: &bare, ..row });
         assert!(error.unwrap_err().to_string().contains("inverted"));
         table.flush().unwrap();
         let text = fs::read_to_string(run.path().join("steps.csv")).unwrap();
-        let [head, values] = text.lines().collect::<Vec<_>>()[..] else {
-            panic!("{text}")
-        };
+        let [head, values] = text.lines().collect::<Vec<_>>()[..] else { panic!("{text}") };
         let before = match with_liquid {
             true => liquid_columns[..liquid_columns.len() - 3].join(","),
             false => "step,t,dt".to_owned(),
@@ -294,17 +249,12 @@ fn tables_of_solids_read_back_exactly() {
         };
         assert_eq!(
             head,
-            format!(
-                "{before},{solid_columns}{coupling_columns},wave_cfl,dt_floored,seconds_total,seconds_solve"
-            )
+            format!("{before},{solid_columns}{coupling_columns},wave_cfl,dt_floored,seconds_total,seconds_solve")
         );
         let expected = format!(
             "5,2,17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12{coupling},0.125,0,0.5,0.5"
         );
-        assert!(
-            values.starts_with("4,0.75,0.25,") && values.ends_with(&expected),
-            "{values}"
-        );
+        assert!(values.starts_with("4,0.75,0.25,") && values.ends_with(&expected), "{values}");
         assert_eq!(values.split(',').count(), head.split(',').count());
     }
 }
@@ -315,13 +265,8 @@ fn the_manifest_names_solids_and_their_meshes() {
     let case = Case::new();
     let manifest = case.manifest();
     assert!(manifest.solid_frames && !manifest.markers && !manifest.fields);
-    let [left, right] = &manifest.solids[..] else {
-        panic!("{:?}", manifest.solids)
-    };
-    assert_eq!(
-        (&*left.name, left.nodes, left.elements),
-        ("left", 3 * 3 * 4, 6 * 12)
-    );
+    let [left, right] = &manifest.solids[..] else { panic!("{:?}", manifest.solids) };
+    assert_eq!((&*left.name, left.nodes, left.elements), ("left", 3 * 3 * 4, 6 * 12));
     assert!((left.volume - 0.012).abs() < 1e-15 && (left.mass - 12.0).abs() < 1e-12);
     assert_eq!((right.nodes, right.elements), (8, 6));
     assert_eq!((&right.file, &right.sha256), (&None, &None));
@@ -330,11 +275,7 @@ fn the_manifest_names_solids_and_their_meshes() {
 }
 
 fn pictures(run: &Path, colour: Colour) -> Vec<PathBuf> {
-    let options = PreviewOptions {
-        animation: false,
-        colour,
-        ..PreviewOptions::default()
-    };
+    let options = PreviewOptions { animation: false, colour, ..PreviewOptions::default() };
     preview(run, &options, &mut |_, _| true).unwrap().pictures
 }
 
@@ -352,23 +293,13 @@ fn pictures_show_solids_where_they_are() {
     assert_eq!(names, ["blocks_000000.png", "blocks_000001.png"]);
     let [first, second] = [0, 1].map(|frame| Decoded::read(&files[frame]));
     // Between the lines of the mesh, seen from the front; what is further back is nearer to the middle.
-    let [left, right, gone, air] =
-        [(0.21, 0.13), (0.725, 0.18), (0.78, 0.18), (0.5, 0.4)].map(|(x, y)| pixel(x, y));
+    let [left, right, gone, air] = [(0.21, 0.13), (0.725, 0.18), (0.78, 0.18), (0.5, 0.4)].map(|(x, y)| pixel(x, y));
     assert!(differ(first.at(left), first.at(air)), "no left block");
     assert!(differ(first.at(right), first.at(air)), "no right block");
-    assert!(
-        differ(first.at(left), first.at(right)),
-        "one colour for both bodies"
-    );
-    assert!(
-        differ(first.at(gone), second.at(gone)),
-        "the right block has not moved"
-    );
+    assert!(differ(first.at(left), first.at(right)), "one colour for both bodies");
+    assert!(differ(first.at(gone), second.at(gone)), "the right block has not moved");
     let moved = pixel(0.63, 0.18);
-    assert!(
-        differ(first.at(moved), second.at(moved)),
-        "the right block is not where it moved to"
-    );
+    assert!(differ(first.at(moved), second.at(moved)), "the right block is not where it moved to");
     assert_eq!(first.at(air), second.at(air));
 }
 
@@ -398,30 +329,13 @@ fn solids_are_cut_open() {
     for from in [2.5, -2.5] {
         let whole = draw(None, from);
         let cut = draw(Some(middle), from);
-        assert!(
-            !differ(whole.at(core), whole.at(wall)),
-            "{from}: the shell hides what is in it"
-        );
-        assert!(
-            differ(cut.at(core), cut.at(wall)),
-            "{from}: the ball in the shell is not seen"
-        );
-        assert!(
-            differ(cut.at(gap), cut.at(core)),
-            "{from}: the space in the shell is not seen"
-        );
-        assert!(
-            differ(cut.at(wall), cut.at(air)),
-            "{from}: the shell is hollow where it is cut"
-        );
+        assert!(!differ(whole.at(core), whole.at(wall)), "{from}: the shell hides what is in it");
+        assert!(differ(cut.at(core), cut.at(wall)), "{from}: the ball in the shell is not seen");
+        assert!(differ(cut.at(gap), cut.at(core)), "{from}: the space in the shell is not seen");
+        assert!(differ(cut.at(wall), cut.at(air)), "{from}: the shell is hollow where it is cut");
         // Beyond what there is, it takes nothing; before it, everything.
         let far = |at: f64| draw(Some(CameraCut { axis: 2, at }), from);
-        let [beyond, before] = if from > 0.0 {
-            [0.49, 0.01]
-        } else {
-            [0.01, 0.49]
-        }
-        .map(far);
+        let [beyond, before] = if from > 0.0 { [0.49, 0.01] } else { [0.01, 0.49] }.map(far);
         assert_eq!(beyond.at(core), whole.at(core), "{from}");
         assert!(differ(before.at(core), whole.at(core)), "{from}");
     }
@@ -435,15 +349,9 @@ fn colours_tell_stress_and_volume() {
     for colour in [Colour::Stress, Colour::DetF] {
         let files = pictures(run.path(), colour);
         let [first, second] = [0, 1].map(|frame| Decoded::read(&files[frame]));
-        assert!(
-            differ(first.at(left), second.at(left)),
-            "{colour:?}: no colour of stretch"
-        );
+        assert!(differ(first.at(left), second.at(left)), "{colour:?}: no colour of stretch");
         // Nothing is stretched at first, so both bodies look alike but for the light.
-        assert!(
-            !differ(first.at(left), first.at(right)),
-            "{colour:?}: colours of bodies"
-        );
+        assert!(!differ(first.at(left), first.at(right)), "{colour:?}: colours of bodies");
         // The legend: its bar in the upper right corner has the largest value's colour above and the least one's below.
         let [x, above, below] = [first.size[0] - 12, 44, first.size[1] * 2 / 5 + 36];
         let bar = [above, below].map(|y| first.at([x, y]));
@@ -470,10 +378,7 @@ fn preview_of_solids_says_what_is_missing() {
     let run = tempfile::tempdir().unwrap();
     let mut case = Case::new();
     let tell = |colour: Colour| {
-        let options = PreviewOptions {
-            colour,
-            ..PreviewOptions::default()
-        };
+        let options = PreviewOptions { colour, ..PreviewOptions::default() };
         let error = preview(run.path(), &options, &mut |_, _| true).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         error.to_string()
@@ -490,10 +395,7 @@ fn preview_of_solids_says_what_is_missing() {
     let whole = fs::read_to_string(&broken).unwrap();
     fs::write(&broken, whole.replace("von_mises", "stress")).unwrap();
     let error = tell(Colour::Stress);
-    assert!(
-        error.contains("blocks_000001.vtu") && error.contains("no von_mises"),
-        "{error}"
-    );
+    assert!(error.contains("blocks_000001.vtu") && error.contains("no von_mises"), "{error}");
     fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
     assert!(tell(Colour::Solid).contains("blocks_000001.vtu"));
 }
@@ -503,11 +405,7 @@ fn options_of_pictures_need_no_new_run() {
     let run = tempfile::tempdir().unwrap();
     Case::new().run(run.path());
     let draw = |options: &PreviewOptions| preview(run.path(), options, &mut |_, _| true);
-    let small = PreviewOptions {
-        size: Some([160, 90]),
-        gif: true,
-        ..PreviewOptions::default()
-    };
+    let small = PreviewOptions { size: Some([160, 90]), gif: true, ..PreviewOptions::default() };
     let report = draw(&small).unwrap();
     let scene = fs::read(&report.pictures[0]).unwrap();
     // Two frames at 24 a second: 4.17 hundredths of a second each, 8 together.
@@ -520,67 +418,20 @@ fn options_of_pictures_need_no_new_run() {
     }
     assert_eq!(delays, [4, 4]);
     // From behind: the view changes, and only with options.
-    let behind = PreviewOptions {
-        eye: Some(DVec3::new(0.5, 0.25, -2.0)),
-        ..small
-    };
+    let behind = PreviewOptions { eye: Some(DVec3::new(0.5, 0.25, -2.0)), ..small };
     let pictures = draw(&behind).unwrap().pictures;
     assert_ne!(fs::read(&pictures[0]).unwrap(), scene);
     let pictures = draw(&small).unwrap().pictures;
     assert_eq!(fs::read(&pictures[0]).unwrap(), scene);
     let target = DVec3::new(0.5, 0.25, 0.25);
     for (options, expected) in [
-        (
-            PreviewOptions {
-                eye: Some(target),
-                target: Some(target),
-                ..small
-            },
-            "the target itself",
-        ),
-        (
-            PreviewOptions {
-                eye: Some(target + DVec3::Y),
-                target: Some(target),
-                ..small
-            },
-            "looks along",
-        ),
-        (
-            PreviewOptions {
-                up: Some(DVec3::ZERO),
-                ..small
-            },
-            "no direction",
-        ),
-        (
-            PreviewOptions {
-                fov: Some(f64::NAN),
-                ..small
-            },
-            "field of view",
-        ),
-        (
-            PreviewOptions {
-                eye: Some(DVec3::INFINITY),
-                ..small
-            },
-            "not finite",
-        ),
-        (
-            PreviewOptions {
-                size: Some([8, 8]),
-                ..small
-            },
-            "8 x 8 pixels",
-        ),
-        (
-            PreviewOptions {
-                cut: Some(CameraCut { axis: 2, at: 0.5 }),
-                ..small
-            },
-            "outside the domain",
-        ),
+        (PreviewOptions { eye: Some(target), target: Some(target), ..small }, "the target itself"),
+        (PreviewOptions { eye: Some(target + DVec3::Y), target: Some(target), ..small }, "looks along"),
+        (PreviewOptions { up: Some(DVec3::ZERO), ..small }, "no direction"),
+        (PreviewOptions { fov: Some(f64::NAN), ..small }, "field of view"),
+        (PreviewOptions { eye: Some(DVec3::INFINITY), ..small }, "not finite"),
+        (PreviewOptions { size: Some([8, 8]), ..small }, "8 x 8 pixels"),
+        (PreviewOptions { cut: Some(CameraCut { axis: 2, at: 0.5 }), ..small }, "outside the domain"),
     ] {
         let error = draw(&options).unwrap_err();
         assert_eq!(error.exit_code(), 2);

@@ -46,10 +46,7 @@ fn read_both(python: &Path, run: &Path) -> Value {
         (&ply["normals"], &vtp["points"]["Normals"]["values"]),
         (&ply["velocity"], &vtp["points"]["velocity"]["values"]),
         // The reader leaves out a kind of cell that there is none of.
-        (
-            &ply["triangles"],
-            vtp["connectivity"].get("POLYGON").unwrap_or(&none),
-        ),
+        (&ply["triangles"], vtp["connectivity"].get("POLYGON").unwrap_or(&none)),
     ] {
         assert!(flat(of_ply) == flat(of_vtp), "PLY and VTP differ");
     }
@@ -68,17 +65,9 @@ fn a_surface_is_closed_and_holds_the_volume() {
     let pi = std::f64::consts::PI;
     let cases = [
         // 1 x 0.5 m of free surface.
-        (
-            "box = { min = [0, 0, 0], max = [1, 0.25, 0.5] }",
-            0.125,
-            0.5 * 0.1 * dx,
-        ),
+        ("box = { min = [0, 0, 0], max = [1, 0.25, 0.5] }", 0.125, 0.5 * 0.1 * dx),
         // Two free sides of 0.25 x 0.5 m, an edge of 0.5 m.
-        (
-            "box = { min = [0, 0, 0], max = [0.25, 0.25, 0.5] }",
-            0.03125,
-            0.25 * 0.1 * dx + 0.1 * dx * dx,
-        ),
+        ("box = { min = [0, 0, 0], max = [0.25, 0.25, 0.5] }", 0.03125, 0.25 * 0.1 * dx + 0.1 * dx * dx),
         (
             "sphere = { centre = [0.5, 0.25, 0.25], radius = 0.1875 }",
             4.0 / 3.0 * pi * 0.1875_f64.powi(3),
@@ -94,33 +83,18 @@ fn a_surface_is_closed_and_holds_the_volume() {
         }
         write(run.path(), &scene, &state);
         let mesh = read_both(&python, run.path());
-        assert_eq!(
-            mesh["watertight"], true,
-            "{shape}: an edge has not two triangles"
-        );
-        assert_eq!(
-            mesh["winding"], true,
-            "{shape}: triangles are not turned alike"
-        );
+        assert_eq!(mesh["watertight"], true, "{shape}: an edge has not two triangles");
+        assert_eq!(mesh["winding"], true, "{shape}: triangles are not turned alike");
         let found = mesh["volume"].as_f64().unwrap();
-        assert!(
-            (found - volume).abs() < bound,
-            "{shape}: {found}, not {volume} +- {bound}"
-        );
+        assert!((found - volume).abs() < bound, "{shape}: {found}, not {volume} +- {bound}");
         let points = flat(&mesh["coordinates"]);
-        let inside = points.chunks_exact(3).all(|x| {
-            x.iter()
-                .zip([1.0, 0.5, 0.5])
-                .all(|(x, size)| (0.0..=size).contains(x))
-        });
+        let inside =
+            points.chunks_exact(3).all(|x| x.iter().zip([1.0, 0.5, 0.5]).all(|(x, size)| (0.0..=size).contains(x)));
         assert!(inside, "{shape}: beyond the walls");
         let normals = flat(&mesh["normals"]);
         for (x, normal) in points.chunks_exact(3).zip(normals.chunks_exact(3)) {
             let length: f32 = normal.iter().map(|part| part * part).sum();
-            assert!(
-                (length - 1.0).abs() < 1e-5,
-                "{shape}: the normal at {x:?} is {normal:?}"
-            );
+            assert!((length - 1.0).abs() < 1e-5, "{shape}: the normal at {x:?} is {normal:?}");
         }
         for velocity in flat(&mesh["velocity"]).chunks_exact(3) {
             assert_eq!(velocity, [0.5, -1.0, 2.0], "{shape}");
@@ -161,10 +135,7 @@ fn a_fixed_surface_is_where_its_distance_says() {
 fn no_liquid_is_an_empty_surface() {
     let Some(python) = python() else { return };
     let run = tempfile::tempdir().unwrap();
-    let scene = scene(
-        "[16, 8, 8]",
-        "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.25, 0.5] }",
-    );
+    let scene = scene("[16, 8, 8]", "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.25, 0.5] }");
     let mut state = state(&scene);
     state.markers.clear();
     write(run.path(), &scene, &state);
@@ -178,20 +149,14 @@ fn no_liquid_is_an_empty_surface() {
 /// several parts; a thousand drops make many parts that are not joined.
 #[test]
 fn surfaces_do_not_depend_on_threads() {
-    let scene = scene(
-        "[128, 64, 64]",
-        "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.04, 0.5] }",
-    );
+    let scene = scene("[128, 64, 64]", "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.04, 0.5] }");
     let mut state = state(&scene);
     let drop = |n: u32, axis: u32| (f64::from(n * (axis + 2)) * 0.618_034).fract();
     let drops = (0..1000).map(|n| [drop(n, 0), 0.1 + 0.3 * drop(n, 1), 0.5 * drop(n, 2)]);
     state.markers.extend(drops);
     let bytes = |threads: usize| {
         let run = tempfile::tempdir().unwrap();
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| write(run.path(), &scene, &state));
         ["wet_000000.ply", "wet_surface_000000.vtp"]
             .map(|file| std::fs::read(run.path().join("frames").join(file)).unwrap())
@@ -199,10 +164,7 @@ fn surfaces_do_not_depend_on_threads() {
     let once = bytes(1);
     assert!(once[0].len() > 1_000_000);
     for threads in [3, 5, 8] {
-        assert!(
-            bytes(threads) == once,
-            "{threads} threads make another mesh than one"
-        );
+        assert!(bytes(threads) == once, "{threads} threads make another mesh than one");
     }
 }
 
@@ -212,39 +174,27 @@ fn surfaces_do_not_depend_on_threads() {
 fn surfaces_have_no_degenerate_triangles() {
     let Some(python) = python() else { return };
     let pool = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.25, 0.5] }";
-    let slope =
-        "[[liquid.region]]\nhalf_space = { point = [0.5, 0.25, 0.25], normal = [0.2, 1, 0.1] }";
+    let slope = "[[liquid.region]]\nhalf_space = { point = [0.5, 0.25, 0.25], normal = [0.2, 1, 0.1] }";
     let full = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.5, 0.5] }";
     let corner = "[[liquid.region]]\nsphere = { centre = [0, 0, 0], radius = 0.2 }";
     let thin = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.06, 0.5] }";
     let uniform = |n: u32, axis: u32| (f64::from(n * (axis + 2)) * 0.618_034).fract();
-    for (liquid, drops) in [
-        (pool, 0),
-        (slope, 0),
-        (full, 0),
-        (corner, 0),
-        (thin, 0),
-        (pool, 500),
-        (thin, 3000),
-        (corner, 100),
-    ] {
+    for (liquid, drops) in
+        [(pool, 0), (slope, 0), (full, 0), (corner, 0), (thin, 0), (pool, 500), (thin, 3000), (corner, 100)]
+    {
         for smoothing in [0, 20] {
             let case = format!("{liquid}, {drops} drops, smoothing {smoothing}");
             let run = tempfile::tempdir().unwrap();
             let keys = format!("[surface]\nsmoothing = {smoothing}\n{liquid}");
             let scene = scene("[32, 16, 16]", &keys);
             let mut state = state(&scene);
-            let drops =
-                (0..drops).map(|n| [uniform(n, 0), 0.5 * uniform(n, 1), 0.5 * uniform(n, 2)]);
+            let drops = (0..drops).map(|n| [uniform(n, 0), 0.5 * uniform(n, 1), 0.5 * uniform(n, 2)]);
             state.markers.extend(drops);
             write(run.path(), &scene, &state);
             let mesh = read_both(&python, run.path());
             let least = mesh["least_height"].as_f64().unwrap();
             assert_eq!(mesh["coincident"], 0, "{case}");
-            assert!(
-                least > 0.9e-4 / 32.0,
-                "{case}: a triangle is {least:e} m high"
-            );
+            assert!(least > 0.9e-4 / 32.0, "{case}: a triangle is {least:e} m high");
             assert_eq!(mesh["watertight"], true, "{case}");
             assert_eq!(mesh["loads_watertight"], true, "{case}");
             assert_eq!(mesh["winding"], true, "{case}");
@@ -295,16 +245,9 @@ fn radius_and_smoothing_do_what_they_say() {
     let [volume, area] = measure("smoothing = 0");
     let [smooth_volume, smooth_area] = measure("smoothing = 20");
     assert!(smooth_area < 0.995 * area, "{smooth_area} of {area} m^2");
-    assert!(
-        (smooth_volume / volume - 1.0).abs() < 1e-4,
-        "{smooth_volume} of {volume} m^3"
-    );
+    assert!((smooth_volume / volume - 1.0).abs() < 1e-4, "{smooth_volume} of {volume} m^3");
     let [fat, _] = measure("radius = 1.45");
     let offset = (fat - smooth_volume) / smooth_area;
     // 0.7 of the half cell more.
-    assert!(
-        (offset * 32.0 - 0.35).abs() < 0.1,
-        "the surface moved by {} cells",
-        32.0 * offset
-    );
+    assert!((offset * 32.0 - 0.35).abs() < 0.1, "the surface moved by {} cells", 32.0 * offset);
 }

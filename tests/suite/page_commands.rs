@@ -16,10 +16,7 @@ struct Page {
 
 impl Page {
     fn open(name: &str) -> Page {
-        Page {
-            text: fs::read_to_string(root().join("docs").join(name)).unwrap(),
-            folder: tempfile::tempdir().unwrap(),
-        }
+        Page { text: fs::read_to_string(root().join("docs").join(name)).unwrap(), folder: tempfile::tempdir().unwrap() }
     }
 
     /// Blocks of the page: kind and content.
@@ -34,10 +31,7 @@ impl Page {
 
     /// Commands in the blocks of the page.
     fn commands(&self) -> Vec<&str> {
-        let lines = self
-            .blocks()
-            .into_iter()
-            .flat_map(|(_, block)| block.lines());
+        let lines = self.blocks().into_iter().flat_map(|(_, block)| block.lines());
         let lines = lines.map(|line| line.split('#').next().unwrap().trim());
         lines.filter(|line| line.starts_with("cutwater ")).collect()
     }
@@ -56,12 +50,7 @@ impl Page {
             .args(&arguments)
             .output()
             .unwrap();
-        assert_eq!(
-            output.status.code(),
-            Some(code),
-            "{command} {more}: {}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        assert_eq!(output.status.code(), Some(code), "{command} {more}: {}", String::from_utf8_lossy(&output.stderr));
         command.split_whitespace().nth(1).unwrap()
     }
 }
@@ -139,11 +128,7 @@ fn the_commands_for_fsi_run() {
     }
     let n_in_blocks = run.len();
     assert!(n_in_blocks >= 4 + usize::from(has_gpu), "{run:?}");
-    for file in [
-        "out/slab/probes.csv",
-        "out/slab_converge/convergence.csv",
-        "system/spd.mtx",
-    ] {
+    for file in ["out/slab/probes.csv", "out/slab_converge/convergence.csv", "system/spd.mtx"] {
         assert!(page.path(file).is_file(), "{file}");
     }
     // Tables: a heading says what stands before the arguments, or the first cell is the exit code.
@@ -153,20 +138,14 @@ fn the_commands_for_fsi_run() {
             before = None;
             continue;
         };
-        let heading = cells
-            .iter()
-            .find_map(|cell| cell.strip_prefix("command after "));
+        let heading = cells.iter().find_map(|cell| cell.strip_prefix("command after "));
         if let Some(command) = heading {
             before = Some(code(command).unwrap());
-        } else if let (Some(before), Some(arguments)) =
-            (before, cells.get(1).and_then(|cell| code(cell)))
-        {
+        } else if let (Some(before), Some(arguments)) = (before, cells.get(1).and_then(|cell| code(cell))) {
             let command = format!("{before} {arguments}");
             page.run(&command, "--frames 1", 0);
             run.push(command);
-        } else if let (Ok(exit), Some(command)) =
-            (cells[0].parse(), cells.last().and_then(|cell| code(cell)))
-        {
+        } else if let (Ok(exit), Some(command)) = (cells[0].parse(), cells.last().and_then(|cell| code(cell))) {
             // A collapse takes the time it takes.
             page.run(command, "", exit);
             run.push(command.to_owned());

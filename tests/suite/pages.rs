@@ -22,17 +22,12 @@ fn names(folder: &str, extension: &str) -> Vec<PathBuf> {
 
 /// The anchors of a page, as GitHub makes them of its headings.
 fn anchors(page: &str) -> Vec<String> {
-    let headings = page.lines().filter_map(|line| {
-        line.trim_start_matches('#')
-            .strip_prefix(' ')
-            .filter(|_| line.starts_with('#'))
-    });
+    let headings = page
+        .lines()
+        .filter_map(|line| line.trim_start_matches('#').strip_prefix(' ').filter(|_| line.starts_with('#')));
     let anchor = |heading: &str| {
-        let kept = heading
-            .to_lowercase()
-            .chars()
-            .filter(|c| c.is_alphanumeric() || " -_".contains(*c))
-            .collect::<String>();
+        let kept =
+            heading.to_lowercase().chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c)).collect::<String>();
         kept.replace(' ', "-")
     };
     headings.map(anchor).collect()
@@ -45,30 +40,16 @@ fn links_lead_somewhere() {
     pages.extend(["README.md", "ARCHITECTURE.md", "CHANGELOG.md"].map(|page| root().join(page)));
     for page in pages {
         let text = fs::read_to_string(&page).unwrap();
-        for link in text
-            .split("](")
-            .skip(1)
-            .map(|rest| rest.split(')').next().unwrap())
-        {
+        for link in text.split("](").skip(1).map(|rest| rest.split(')').next().unwrap()) {
             if link.starts_with("https://") {
                 continue;
             }
-            let (file, anchor) = link
-                .split_once('#')
-                .map_or((link, None), |(file, anchor)| (file, Some(anchor)));
-            let target = if file.is_empty() {
-                page.clone()
-            } else {
-                page.parent().unwrap().join(file)
-            };
+            let (file, anchor) = link.split_once('#').map_or((link, None), |(file, anchor)| (file, Some(anchor)));
+            let target = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
             assert!(target.exists(), "{}: no {link}", page.display());
             if let Some(anchor) = anchor {
                 let known = anchors(&fs::read_to_string(&target).unwrap());
-                assert!(
-                    known.iter().any(|known| known == anchor),
-                    "{}: no {link} among {known:?}",
-                    page.display()
-                );
+                assert!(known.iter().any(|known| known == anchor), "{}: no {link} among {known:?}", page.display());
             }
         }
     }
@@ -77,25 +58,15 @@ fn links_lead_somewhere() {
 #[test]
 fn the_list_of_tests_names_tests_that_exist() {
     let page = fs::read_to_string(root().join("docs/tests.md")).unwrap();
-    let named = page
-        .split('`')
-        .filter_map(|word| word.split_once("::"))
-        .filter(|(module, _)| !module.contains(' '));
-    let read =
-        |module: &str| fs::read_to_string(root().join(format!("tests/suite/{module}.rs"))).ok();
-    for module in page
-        .split('`')
-        .filter(|word| word.starts_with("twin_") && !word.contains("::"))
-    {
+    let named = page.split('`').filter_map(|word| word.split_once("::")).filter(|(module, _)| !module.contains(' '));
+    let read = |module: &str| fs::read_to_string(root().join(format!("tests/suite/{module}.rs"))).ok();
+    for module in page.split('`').filter(|word| word.starts_with("twin_") && !word.contains("::")) {
         assert!(read(module).is_some(), "docs/tests.md: no tests {module}");
     }
     let mut n = 0;
     for (module, test) in named {
         let source = read(module).unwrap_or_default();
-        assert!(
-            source.contains(&format!("#[test]\nfn {test}()")),
-            "docs/tests.md: no test {module}::{test}"
-        );
+        assert!(source.contains(&format!("#[test]\nfn {test}()")), "docs/tests.md: no test {module}::{test}");
         n += 1;
     }
     assert!(n > 0, "docs/tests.md names no test");
@@ -106,10 +77,7 @@ fn the_list_of_scenes_is_whole() {
     let page = fs::read_to_string(root().join("docs/scenes.md")).unwrap();
     for scene in names("scenes", "toml") {
         let name = scene.file_stem().unwrap().to_str().unwrap();
-        assert!(
-            page.contains(&format!("| `{name}` |")),
-            "docs/scenes.md: no scene {name}"
-        );
+        assert!(page.contains(&format!("| `{name}` |")), "docs/scenes.md: no scene {name}");
     }
 }
 
@@ -117,10 +85,7 @@ fn the_list_of_scenes_is_whole() {
 fn the_scenes_of_the_pages_load() {
     for page in ["README.md", "docs/scene.md"] {
         let text = fs::read_to_string(root().join(page)).unwrap();
-        let blocks = text
-            .split("```toml\n")
-            .skip(1)
-            .map(|rest| rest.split("```").next().unwrap());
+        let blocks = text.split("```toml\n").skip(1).map(|rest| rest.split("```").next().unwrap());
         let mut n = 0;
         for block in blocks {
             let folder = tempfile::tempdir().unwrap();
@@ -145,11 +110,7 @@ fn tables_are_those_that_were_measured() {
         return;
     };
     for mode in ["--test", "--check"] {
-        let output = Command::new(&python)
-            .arg(&script)
-            .arg(mode)
-            .output()
-            .unwrap();
+        let output = Command::new(&python).arg(&script).arg(mode).output().unwrap();
         assert!(
             output.status.success(),
             "{mode}: {}{}",

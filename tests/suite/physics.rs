@@ -7,8 +7,7 @@ use cutwater::state::{SolveStatus, State};
 
 use crate::common::{area_from_above, digest, gpu, same_with_any_number_of_threads};
 use crate::reference_physics::{
-    DAM, DAM_RELEASE_ERROR, GRAVITY, dam_release_error, dam_release_scene, flies_on, flights, pool,
-    rest_cases, scene,
+    DAM, DAM_RELEASE_ERROR, GRAVITY, dam_release_error, dam_release_scene, flies_on, flights, pool, rest_cases, scene,
 };
 
 fn simulation(scene: &Scene) -> Simulation {
@@ -59,10 +58,7 @@ fn markers_at_rest_start_slowly_on_the_gpu() {
         let depth = diagnosis.volume / area_from_above(&grid, &state.active);
         let bound = std::f64::consts::PI * 0.15_f64.powi(2) * grid.dx / depth;
         let share = diagnosis.kinetic_energy / of_fall;
-        assert!(
-            share <= bound,
-            "{name}: {share} of free fall, allowed {bound}"
-        );
+        assert!(share <= bound, "{name}: {share} of free fall, allowed {bound}");
         let height = |cell: usize| grid.cell_centre(grid.cell_at(cell)).y;
         let filled = || (0..grid.n_cells()).filter(|&cell| fixed.1.active[cell]);
         let top = filled().map(height).fold(0.0, f64::max);
@@ -76,8 +72,7 @@ fn markers_at_rest_start_slowly_on_the_gpu() {
 #[test]
 fn a_full_container_rests_on_the_gpu_and_is_closed() {
     let Some(_) = gpu() else { return };
-    let sphere =
-        "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
+    let sphere = "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
     for rest in [pool(2.0), pool(2.0) + sphere] {
         let mut simulation = simulation(&scene([12, 12, 12], &rest));
         let report = simulation.step().unwrap();
@@ -111,10 +106,7 @@ fn dam_release_has_the_exact_pressure_on_the_gpu() {
     simulation.step().unwrap();
     // Rounding to f32 is far below it.
     let largest = dam_release_error(&scene.grid(), &simulation.state().unwrap().pressure);
-    assert!(
-        largest < DAM_RELEASE_ERROR,
-        "largest error {largest} of rho g H"
-    );
+    assert!(largest < DAM_RELEASE_ERROR, "largest error {largest} of rho g H");
 }
 
 /// A dam break past a pillar: violent enough to exercise every stage.
@@ -178,21 +170,12 @@ fn a_state_put_in_place_goes_on_as_if_it_had_come_there() {
     // Before the next sub-step too.
     simulation.reset(&fourth).unwrap();
     assert!(fourth.pressure.iter().any(|p| *p > 0.0));
-    assert!(
-        simulation.state().unwrap() == fourth,
-        "as it was put in place"
-    );
+    assert!(simulation.state().unwrap() == fourth, "as it was put in place");
     // Markers that were dropped before are not among those of the state.
-    let dropped = State {
-        markers_dropped: 7 + fourth.markers.len() as u64,
-        ..fourth
-    };
+    let dropped = State { markers_dropped: 7 + fourth.markers.len() as u64, ..fourth };
     simulation.reset(&dropped).unwrap();
     let liquid = simulation.step().unwrap().liquid.unwrap();
-    assert_eq!(
-        liquid.markers + liquid.dropped as usize,
-        dropped.markers.len()
-    );
+    assert_eq!(liquid.markers + liquid.dropped as usize, dropped.markers.len());
 }
 
 /// Spray on a grid as coarse as this adds volume fast; at 64x32x32 cells and 10 s the ratio stays within 3 %.

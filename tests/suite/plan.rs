@@ -50,17 +50,10 @@ fn made(scene: &Scene) -> (Simulation, Plan) {
 fn assert_buffers(what: &str, plan: &Plan, simulation: &Simulation) {
     let allocated = allocated(simulation);
     let mut made = by_label(allocated.iter().map(|(label, bytes)| (&**label, *bytes)));
-    let mut planned = by_label(
-        plan.buffers
-            .iter()
-            .map(|buffer| (&*buffer.label, buffer.bytes())),
-    );
+    let mut planned = by_label(plan.buffers.iter().map(|buffer| (&*buffer.label, buffer.bytes())));
     let total = |list: &BTreeMap<String, u64>| list.values().sum::<u64>() as f64;
     let ratio = total(&planned) / total(&made);
-    assert!(
-        (ratio - 1.0).abs() <= 0.05,
-        "{what}: planned over made {ratio}"
-    );
+    assert!((ratio - 1.0).abs() <= 0.05, "{what}: planned over made {ratio}");
     made.remove("liquid.markers");
     planned.remove("liquid.markers");
     assert_eq!(planned, made, "{what}");
@@ -93,11 +86,7 @@ fn kernels_and_stages_are_those_planned() {
         ("dam_break_liquid", 0.25, &[fixed]),
         ("sphere_half_full", 0.5, &[]),
         ("sphere_half_full", 0.5, &[fixed]),
-        (
-            "dam_break_liquid",
-            0.25,
-            &["solver.preconditioner=jacobi", "solver.tolerance=1e-3"],
-        ),
+        ("dam_break_liquid", 0.25, &["solver.preconditioner=jacobi", "solver.tolerance=1e-3"]),
         // Long enough sums to be folded in two levels.
         ("drop_into_pool", 1.0, &[]),
     ];
@@ -106,11 +95,7 @@ fn kernels_and_stages_are_those_planned() {
         let scene = scene(name, scale, overrides);
         let (mut simulation, plan) = made(&scene);
         let compiled = simulation.gpu().unwrap().compiled();
-        let planned: BTreeSet<&str> = plan
-            .stages
-            .iter()
-            .flat_map(|stage| stage.kernels.iter().copied())
-            .collect();
+        let planned: BTreeSet<&str> = plan.stages.iter().flat_map(|stage| stage.kernels.iter().copied()).collect();
         assert_eq!(planned, compiled, "{what}: kernels");
         let report = simulation.step().unwrap();
         if simulation.adapter().unwrap().timestamps {
@@ -133,9 +118,7 @@ fn solids_with(absent: &[&str], overrides: &[&str]) -> Scene {
         true => String::new(),
         false => text.to_owned(),
     };
-    let mut text =
-        "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [12, 12, 12]\n[time]\nduration = 0.1\n\n"
-            .to_owned();
+    let mut text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [12, 12, 12]\n[time]\nduration = 0.1\n\n".to_owned();
     for (name, x) in [("left", 0.3), ("right", 0.7)] {
         text += &format!(
             "[[solid]]\nname = \"{name}\"\nmesh = {{ box = {{ size = [0.2, 0.2, 0.4], cells = [2, 3, 4] }} }}\n\
@@ -148,42 +131,22 @@ fn solids_with(absent: &[&str], overrides: &[&str]) -> Scene {
         text += &with("damping", "damping = { mass = 0.5, stiffness = 0.01 }\n");
         let region = "region = { box = { min = [0.0, 0.0, 0.29], max = [1.0, 1.0, 0.31] } }";
         let upper = "region = { box = { min = [0.0, 0.0, 0.69], max = [1.0, 1.0, 0.71] } }";
-        text += &with(
-            "pins",
-            &format!("[[solid.pin]]\n{region}\ncomponents = \"x\"\n"),
-        );
+        text += &with("pins", &format!("[[solid.pin]]\n{region}\ncomponents = \"x\"\n"));
         text += &with(
             "scripts",
             &format!(
                 "[[solid.script]]\n{upper}\nkeyframes = [{{ t = 0.0 }}, {{ t = 0.1, translate = [0.0, 0.0, 0.02] }}]\n"
             ),
         );
-        text += &with(
-            "loads",
-            &format!("[[solid.load]]\n{region}\nforce = [0.0, 1.0, 0.0]\n"),
-        );
+        text += &with("loads", &format!("[[solid.load]]\n{region}\nforce = [0.0, 1.0, 0.0]\n"));
     }
-    text += &with(
-        "obstacles",
-        "[[obstacle]]\nsphere = { centre = [0.5, 0.1, 0.5], radius = 0.1 }\n",
-    );
-    text += &with(
-        "probes",
-        "[[probe]]\nname = \"tip\"\nnode = { solid = \"left\", rest_point = [0.3, 0.5, 0.5] }\n",
-    );
+    text += &with("obstacles", "[[obstacle]]\nsphere = { centre = [0.5, 0.1, 0.5], radius = 0.1 }\n");
+    text += &with("probes", "[[probe]]\nname = \"tip\"\nnode = { solid = \"left\", rest_point = [0.3, 0.5, 0.5] }\n");
     scene_from(&text, overrides)
 }
 
 /// Effects of solids that a scene may lack.
-const OF_SOLIDS: [&str; 7] = [
-    "corotation",
-    "damping",
-    "pins",
-    "scripts",
-    "loads",
-    "obstacles",
-    "probes",
-];
+const OF_SOLIDS: [&str; 7] = ["corotation", "damping", "pins", "scripts", "loads", "obstacles", "probes"];
 
 #[test]
 fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
@@ -191,14 +154,10 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
     let liquid = made(&scene("dam_break_liquid", 0.25, &[])).0;
     let kernels_of = |simulation: &Simulation| simulation.gpu().unwrap().compiled();
     let labels_of = |simulation: &Simulation| -> BTreeSet<String> {
-        allocated(simulation)
-            .into_iter()
-            .map(|(label, _)| label)
-            .collect()
+        allocated(simulation).into_iter().map(|(label, _)| label).collect()
     };
     let f32 = ["solver.precision=f32", "solver.tolerance=1e-5"];
-    let mut cases: Vec<(Vec<&str>, &[&str])> =
-        vec![(vec![], &[]), (vec![], &f32), (OF_SOLIDS.to_vec(), &[])];
+    let mut cases: Vec<(Vec<&str>, &[&str])> = vec![(vec![], &[]), (vec![], &f32), (OF_SOLIDS.to_vec(), &[])];
     cases.extend(OF_SOLIDS.map(|effect| (vec![effect], &[][..])));
     for (absent, overrides) in cases {
         let what = format!("without {absent:?}, {overrides:?}");
@@ -208,18 +167,10 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
         let before = allocated(&simulation);
         let there = by_label(before.iter().map(|(label, bytes)| (&**label, *bytes)));
         assert_eq!(planned, there, "{what}: buffers");
-        let planned: BTreeSet<&str> = plan
-            .stages
-            .iter()
-            .flat_map(|stage| stage.kernels.iter().copied())
-            .collect();
+        let planned: BTreeSet<&str> = plan.stages.iter().flat_map(|stage| stage.kernels.iter().copied()).collect();
         assert_eq!(planned, kernels_of(&simulation), "{what}: kernels");
         for effect in OF_SOLIDS {
-            let line = plan
-                .effects
-                .iter()
-                .find(|line| line.name == effect)
-                .unwrap();
+            let line = plan.effects.iter().find(|line| line.name == effect).unwrap();
             assert_eq!(line.active, !absent.contains(&effect), "{what}: {line:?}");
         }
 
@@ -229,13 +180,8 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
         let noted = simulation.gpu().unwrap().take_trace().dispatches;
         for (stage, kernel) in &noted {
             let stage = plan.stages.iter().find(|planned| planned.name == *stage);
-            let stage =
-                stage.unwrap_or_else(|| panic!("{what}: {kernel} in a stage that is not planned"));
-            assert!(
-                stage.kernels.contains(kernel),
-                "{what}: {kernel} in {}",
-                stage.name
-            );
+            let stage = stage.unwrap_or_else(|| panic!("{what}: {kernel} in a stage that is not planned"));
+            assert!(stage.kernels.contains(kernel), "{what}: {kernel} in {}", stage.name);
         }
         if simulation.adapter().unwrap().timestamps {
             let run: Vec<&str> = report.seconds.iter().map(|(stage, _)| *stage).collect();
@@ -254,16 +200,11 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
 
         // What liquid and solids share is the outer loop of the solver, and obstacles where there are any.
         for label in labels_of(&simulation).intersection(&labels_of(&liquid)) {
-            assert!(
-                label.starts_with("gpu.") || label.starts_with("obstacles."),
-                "{what}: {label} is the liquid's"
-            );
+            assert!(label.starts_with("gpu.") || label.starts_with("obstacles."), "{what}: {label} is the liquid's");
         }
         for kernel in kernels_of(&simulation).intersection(&kernels_of(&liquid)) {
             assert!(
-                kernel.starts_with("pcg_")
-                    || kernel.starts_with("refine_")
-                    || *kernel == "fold_partials",
+                kernel.starts_with("pcg_") || kernel.starts_with("refine_") || *kernel == "fold_partials",
                 "{what}: {kernel} is the liquid's"
             );
         }
@@ -272,18 +213,8 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
         assert!(!label.starts_with("solid"), "{label} without solids");
     }
     for kernel in kernels_of(&liquid) {
-        let of_solids = [
-            "solid",
-            "node",
-            "element",
-            "chebyshev",
-            "move_solid",
-            "diagnose_solid",
-        ];
-        assert!(
-            !of_solids.iter().any(|name| kernel.starts_with(name)),
-            "{kernel} without solids"
-        );
+        let of_solids = ["solid", "node", "element", "chebyshev", "move_solid", "diagnose_solid"];
+        assert!(!of_solids.iter().any(|name| kernel.starts_with(name)), "{kernel} without solids");
     }
 }
 
@@ -293,37 +224,27 @@ fn absent_effects_of_solids_take_nothing() {
     let Some(_) = gpu() else { return };
     let bytes = |simulation: &Simulation, label: &str| -> u64 {
         let all = allocated(simulation);
-        all.iter()
-            .filter(|(made, _)| made == label)
-            .map(|(_, bytes)| bytes)
-            .sum()
+        all.iter().filter(|(made, _)| made == label).map(|(_, bytes)| bytes).sum()
     };
     let (all, _) = made(&solids_with(&[], &[]));
     for (effect, label, kernel) in [
         ("scripts", "solid.prescribed", None),
-        (
-            "obstacles",
-            "obstacles.solid_distance",
-            Some("obstacle_contacts"),
-        ),
+        ("obstacles", "obstacles.solid_distance", Some("obstacle_contacts")),
         ("probes", "solid.displacement (read-back)", None),
     ] {
         let (without, _) = made(&solids_with(&[effect], &[]));
         assert!(bytes(&all, label) > 64, "{label} with {effect}");
         assert!(bytes(&without, label) <= 32, "{label} without {effect}");
         if let Some(kernel) = kernel {
-            let compiled =
-                |simulation: &Simulation| simulation.gpu().unwrap().compiled().contains(kernel);
+            let compiled = |simulation: &Simulation| simulation.gpu().unwrap().compiled().contains(kernel);
             assert!(compiled(&all) && !compiled(&without), "{kernel}");
         }
     }
     // What holds a body keeps it from turning as a whole, and linear ones do not turn.
     let held: &[&str] = &[];
-    for (absent, turns) in [
-        (held, false),
-        (&["pins", "scripts", "loads"], true),
-        (&["pins", "scripts", "loads", "corotation"], false),
-    ] {
+    for (absent, turns) in
+        [(held, false), (&["pins", "scripts", "loads"], true), (&["pins", "scripts", "loads", "corotation"], false)]
+    {
         let (made, _) = made(&solids_with(absent, &[]));
         let of_two_bodies = if turns { 32 } else { 0 };
         assert_eq!(bytes(&made, "solid.turning"), of_two_bodies, "{absent:?}");
@@ -350,8 +271,7 @@ fn liquid_alone_takes_what_it_always_took() {
         ("sphere_half_full", 0.5, "markers"),
         ("hydrostatic_block", 0.5, "fixed"),
     ] {
-        let (mut simulation, _) =
-            made(&scene(name, scale, &[&format!("liquid.surface={surface}")]));
+        let (mut simulation, _) = made(&scene(name, scale, &[&format!("liquid.surface={surface}")]));
         writeln!(taken, "{name} {surface}").unwrap();
         let allocated = allocated(&simulation);
         for (label, bytes) in by_label(allocated.iter().map(|(label, bytes)| (&**label, *bytes))) {
@@ -365,9 +285,7 @@ fn liquid_alone_takes_what_it_always_took() {
         let mut order = FNV_START;
         for dispatch in dispatches {
             let name = format!("{} {}", dispatch.0, dispatch.1);
-            order = name.bytes().fold(order, |order, byte| {
-                (order ^ u64::from(byte)).wrapping_mul(FNV_PRIME)
-            });
+            order = name.bytes().fold(order, |order, byte| (order ^ u64::from(byte)).wrapping_mul(FNV_PRIME));
             match counts.iter_mut().find(|(known, _)| *known == name) {
                 Some((_, n)) => *n += 1,
                 None => counts.push((name, 1)),
@@ -395,28 +313,17 @@ fn absent_effects_take_nothing() {
     let with = |obstacles: bool, markers: bool| {
         let surface = if markers { "markers" } else { "fixed" };
         let overrides = [format!("liquid.surface={surface}")];
-        let name = if obstacles {
-            "hydrostatic_block"
-        } else {
-            "dam_break_liquid"
-        };
+        let name = if obstacles { "hydrostatic_block" } else { "dam_break_liquid" };
         let scale = if obstacles { 0.5 } else { 0.25 };
         made(&scene(name, scale, &[&overrides[0]]))
     };
     let labels = |simulation: &Simulation| -> BTreeSet<String> {
-        allocated(simulation)
-            .into_iter()
-            .filter(|(_, bytes)| *bytes > 16)
-            .map(|(label, _)| label)
-            .collect()
+        allocated(simulation).into_iter().filter(|(_, bytes)| *bytes > 16).map(|(label, _)| label).collect()
     };
     let kernels = |simulation: &Simulation| simulation.gpu().unwrap().compiled();
     for markers in [true, false] {
         let (none, plan) = with(false, markers);
-        assert!(
-            !labels(&none).contains("obstacles.solid_distance"),
-            "buffers without obstacles, markers {markers}"
-        );
+        assert!(!labels(&none).contains("obstacles.solid_distance"), "buffers without obstacles, markers {markers}");
         for kernel in [
             "push_out",
             "extend_into_solids",
@@ -429,10 +336,7 @@ fn absent_effects_take_nothing() {
             "slip",
             "apply_slip",
         ] {
-            assert!(
-                !kernels(&none).contains(kernel),
-                "{kernel} without obstacles"
-            );
+            assert!(!kernels(&none).contains(kernel), "{kernel} without obstacles");
         }
         let line = plan.effects.iter().find(|line| line.name == "obstacles");
         assert!(!line.unwrap().active, "obstacles, markers {markers}");
@@ -440,29 +344,12 @@ fn absent_effects_take_nothing() {
     for obstacles in [true, false] {
         let (fixed, plan) = with(obstacles, false);
         for label in ["liquid.markers", "liquid.occupied", "liquid.classes"] {
-            assert!(
-                !allocated(&fixed).iter().any(|(made, _)| made == label),
-                "{label} with a fixed surface"
-            );
+            assert!(!allocated(&fixed).iter().any(|(made, _)| made == label), "{label} with a fixed surface");
         }
-        for kernel in [
-            "advect_markers",
-            "occupy",
-            "spread_markers",
-            "union_of_spheres",
-        ] {
-            assert!(
-                !kernels(&fixed).contains(kernel),
-                "{kernel} with a fixed surface"
-            );
+        for kernel in ["advect_markers", "occupy", "spread_markers", "union_of_spheres"] {
+            assert!(!kernels(&fixed).contains(kernel), "{kernel} with a fixed surface");
         }
-        assert!(
-            !plan
-                .stages
-                .iter()
-                .any(|stage| stage.name == "advect_markers"),
-            "advect_markers with a fixed surface"
-        );
+        assert!(!plan.stages.iter().any(|stage| stage.name == "advect_markers"), "advect_markers with a fixed surface");
     }
 }
 
@@ -494,23 +381,11 @@ fn ways_in_and_out_and_motion_take_nothing_where_they_are_absent() {
     let source = "[[source]]\nbox = { min = [0.5, 0.8, 0.5], max = [0.7, 0.9, 0.7] }\nvelocity = [0, -1, 0]\n";
     let sink = "[[sink]]\nbox = { min = [0.9, 0, 0], max = [1, 0.1, 1] }\n";
     let keyframes = "keyframes = [{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]\n";
-    let sourcing = [
-        "carry_faces",
-        "count_in_sources",
-        "hold_faces",
-        "plan_seeds",
-        "seed_markers",
-    ];
+    let sourcing = ["carry_faces", "count_in_sources", "hold_faces", "plan_seeds", "seed_markers"];
     for (what, text, open, own_kernels, own_labels) in [
         ("open side", text("", ""), true, &[][..], &[][..]),
         ("source", text(source, ""), false, &sourcing, &["sources."]),
-        (
-            "sink",
-            text(sink, ""),
-            false,
-            &["empty_sinks", "sink_markers"],
-            &["sinks."],
-        ),
+        ("sink", text(sink, ""), false, &["empty_sinks", "sink_markers"], &["sinks."]),
         (
             "motion",
             text("", keyframes),
@@ -568,12 +443,7 @@ fn large_adapter(f64: bool) -> AdapterReport {
 fn memory_keeps_within_200_bytes_per_cell_and_64_per_marker() {
     let shape = ["domain.size=[1, 1, 1]", "domain.cells=[64, 64, 64]"];
     for (name, _) in SCENES {
-        for (precision, f64) in [
-            ("f32", false),
-            ("mixed", false),
-            ("mixed", true),
-            ("f64", true),
-        ] {
+        for (precision, f64) in [("f32", false), ("mixed", false), ("mixed", true), ("f64", true)] {
             let precision_is = format!("solver.precision={precision}");
             let tolerance = "solver.tolerance=1e-4";
             // Probes of the wider scenes lie outside the cube.
@@ -581,14 +451,9 @@ fn memory_keeps_within_200_bytes_per_cell_and_64_per_marker() {
             let scene = scene(name, 1.0, &overrides);
             let plan = Plan::new(&scene, Some(&large_adapter(f64))).unwrap();
             let (cell, marker) = (plan.bytes_per_cell(), plan.bytes_per_marker());
-            let what =
-                format!("{name} {precision}, f64 {f64}: {cell} per cell, {marker} per marker");
+            let what = format!("{name} {precision}, f64 {f64}: {cell} per cell, {marker} per marker");
             // Sources hold faces: they have their own copy of what is open of these, 12 bytes a cell and its share of spare cells.
-            let of_sources = if Effects::of(&scene).sources {
-                12.1
-            } else {
-                0.0
-            };
+            let of_sources = if Effects::of(&scene).sources { 12.1 } else { 0.0 };
             assert!(cell <= 200.0 + of_sources && marker <= 64.0, "{what}");
             assert!(cell > 50.0, "{what}");
         }
@@ -638,27 +503,14 @@ fn what_does_not_fit_is_named() {
     let mut adapter = large_adapter(true);
     let plan = Plan::new(&scene, Some(&adapter)).unwrap();
     plan.check(&adapter).unwrap();
-    let largest = plan
-        .buffers
-        .iter()
-        .max_by_key(|buffer| buffer.bytes())
-        .unwrap();
+    let largest = plan.buffers.iter().max_by_key(|buffer| buffer.bytes()).unwrap();
     adapter.storage_binding = largest.bytes() - 1;
     let error = plan.check(&adapter).unwrap_err();
     assert_eq!(error.exit_code(), 3, "{error}");
     match &error {
-        Error::Limit {
-            what,
-            needed,
-            available,
-            unit,
-            ..
-        } => {
+        Error::Limit { what, needed, available, unit, .. } => {
             assert_eq!(*what, format!("buffer {}", largest.label));
-            assert_eq!(
-                (*needed, *available),
-                (largest.bytes(), largest.bytes() - 1)
-            );
+            assert_eq!((*needed, *available), (largest.bytes(), largest.bytes() - 1));
             assert!(unit.contains("max_storage_buffer_binding_size"), "{unit}");
         }
         other => panic!("{other}"),
@@ -677,38 +529,12 @@ fn what_every_kernel_needs_is_checked() {
         let scene = scene("dam_break_liquid", 0.25, overrides);
         Plan::new(&scene, Some(adapter)).unwrap().check(adapter)
     };
-    let least = AdapterReport {
-        threads: 256,
-        storage_buffers: 8,
-        workgroups: 32_768,
-        ..large_adapter(true)
-    };
+    let least = AdapterReport { threads: 256, storage_buffers: 8, workgroups: 32_768, ..large_adapter(true) };
     of(&[], &least).unwrap();
     let fewer = [
-        (
-            "max_compute_invocations_per_workgroup",
-            256,
-            AdapterReport {
-                threads: 255,
-                ..least.clone()
-            },
-        ),
-        (
-            "max_storage_buffers_per_shader_stage",
-            8,
-            AdapterReport {
-                storage_buffers: 7,
-                ..least.clone()
-            },
-        ),
-        (
-            "max_compute_workgroups_per_dimension",
-            32_768,
-            AdapterReport {
-                workgroups: 32_767,
-                ..least
-            },
-        ),
+        ("max_compute_invocations_per_workgroup", 256, AdapterReport { threads: 255, ..least.clone() }),
+        ("max_storage_buffers_per_shader_stage", 8, AdapterReport { storage_buffers: 7, ..least.clone() }),
+        ("max_compute_workgroups_per_dimension", 32_768, AdapterReport { workgroups: 32_767, ..least }),
     ];
     for (limit, needed, adapter) in fewer {
         let error = of(&[], &adapter).unwrap_err();
@@ -772,16 +598,11 @@ fn a_form_that_does_not_serve_is_refused() {
     for drivers in [true, false] {
         let mut command = cutwater(&folder, "plan dam.toml");
         if !drivers {
-            command
-                .env("VK_DRIVER_FILES", "nowhere.json")
-                .env_remove("VK_ICD_FILENAMES");
+            command.env("VK_DRIVER_FILES", "nowhere.json").env_remove("VK_ICD_FILENAMES");
         }
         let done = ends(command, 3);
         let (said, told) = (text(&done.stdout), text(&done.stderr));
-        assert!(
-            said.contains("coupling.") && !said.contains("the scene fits"),
-            "{said}"
-        );
+        assert!(said.contains("coupling.") && !said.contains("the scene fits"), "{said}");
         assert!(told.contains(&refusal), "{told}");
     }
     if gpu().is_some() {
@@ -794,16 +615,12 @@ fn a_form_that_does_not_serve_is_refused() {
 #[test]
 fn the_cure_for_large_solids_is_a_coarser_mesh() {
     let mut adapter = large_adapter(true);
-    let [whole, scaled] = [1.0, 0.5]
-        .map(|scale| Plan::new(&scene("cantilever", scale, &[]), Some(&adapter)).unwrap());
+    let [whole, scaled] = [1.0, 0.5].map(|scale| Plan::new(&scene("cantilever", scale, &[]), Some(&adapter)).unwrap());
     let largest = |plan: &Plan| plan.buffers.iter().map(|buffer| buffer.bytes()).max();
     assert_eq!(largest(&whole), largest(&scaled));
     adapter.storage_binding = largest(&whole).unwrap() - 1;
     let message = whole.check(&adapter).unwrap_err().to_string();
-    assert!(
-        message.contains("coarser meshes") && !message.contains("--scale"),
-        "{message}"
-    );
+    assert!(message.contains("coarser meshes") && !message.contains("--scale"), "{message}");
 }
 
 #[test]
@@ -814,10 +631,7 @@ fn without_f64_the_host_turns() {
             let adapter = large_adapter(f64);
             let plan = Plan::new(&scene, Some(&adapter)).unwrap();
             plan.check(&adapter).unwrap();
-            let rhs = plan
-                .buffers
-                .iter()
-                .find(|buffer| buffer.label == "solver.rhs");
+            let rhs = plan.buffers.iter().find(|buffer| buffer.label == "solver.rhs");
             (plan.host_turns, rhs.unwrap().element)
         };
         assert_eq!(turns(true), (false, 8), "{name}");
@@ -852,13 +666,7 @@ fn effects_of_solids_say_why_they_are_there() {
     assert_eq!(effects(cantilever), whole);
     let linear = cantilever.replace("[[solid.pin]]", "model = \"linear\"\n[[solid.pin]]");
     let corotation = false;
-    assert_eq!(
-        effects(&linear),
-        Effects {
-            corotation,
-            ..whole
-        }
-    );
+    assert_eq!(effects(&linear), Effects { corotation, ..whole });
     let undamped = cantilever.replace("stiffness = 0.01", "stiffness = 0");
     let damping = false;
     assert_eq!(effects(&undamped), Effects { damping, ..whole });
@@ -866,12 +674,5 @@ fn effects_of_solids_say_why_they_are_there() {
         .replace("[[solid.pin]]", "[[solid.script]]\nkeyframes = [{ t = 0 }]")
         .replace("[[solid.load]]", "[[solid.pin]]")
         .replace("force = [0, -1, 0]\n", "");
-    assert_eq!(
-        effects(&scripted),
-        Effects {
-            scripts: true,
-            loads: false,
-            ..whole
-        }
-    );
+    assert_eq!(effects(&scripted), Effects { scripts: true, loads: false, ..whole });
 }

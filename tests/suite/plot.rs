@@ -10,22 +10,14 @@ use crate::common::assert_has;
 
 fn run(dir: &Path, factor: f64) {
     fs::create_dir_all(dir).unwrap();
-    let mut steps =
-        "step,t,dt,iterations,residual_p,status,kinetic_energy,seconds_total\n".to_owned();
+    let mut steps = "step,t,dt,iterations,residual_p,status,kinetic_energy,seconds_total\n".to_owned();
     let mut probes = "step,t,front,centre_x,centre_y,centre_z,gauge\n".to_owned();
     for step in 0..20 {
         let t = 0.1 * f64::from(step + 1);
         // A residual of 0 has no place on a logarithmic axis, and a probe may be empty.
         let residual = if step == 3 { 0.0 } else { 1e-9 * t };
-        steps += &format!(
-            "{step},{t},0.1,12,{residual:e},converged,{},0.02\n",
-            factor * t
-        );
-        let gauge = if step < 5 {
-            String::new()
-        } else {
-            format!("{t}")
-        };
+        steps += &format!("{step},{t},0.1,12,{residual:e},converged,{},0.02\n", factor * t);
+        let gauge = if step < 5 { String::new() } else { format!("{t}") };
         probes += &format!("{step},{t},{},{t},1,NaN,{gauge}\n", factor * t * t);
     }
     fs::write(dir.join("steps.csv"), steps).unwrap();
@@ -42,11 +34,7 @@ fn charts_of_all_that_tables_hold() {
     let names: Vec<_> = files.iter().map(|file| file.file_name().unwrap()).collect();
     assert_eq!(names, ["steps.svg", "probes.svg"]);
     let [steps, probes] = [0, 1].map(|at| fs::read_to_string(&files[at]).unwrap());
-    for part in [
-        "iterations",
-        "true relative residuals",
-        "energies of the liquid, J",
-    ] {
+    for part in ["iterations", "true relative residuals", "energies of the liquid, J"] {
         assert!(steps.contains(part), "{part}");
     }
     // What the run does not have has no chart.
@@ -58,11 +46,7 @@ fn charts_of_all_that_tables_hold() {
         assert!(page.starts_with("<svg") && !page.contains("NaN"), "{page}");
         assert!(!page.contains("first"), "one run needs no name");
     }
-    let expected = Contents {
-        folders: 2,
-        tables: 2,
-        pictures: 2,
-    };
+    let expected = Contents { folders: 2, tables: 2, pictures: 2 };
     assert_eq!(report(&a).unwrap(), expected, "the drawings are whole");
     // A line for each of dt, iterations, residuals (without the 0), energy and seconds; axes have fewer points.
     assert_eq!(lines(&steps), [20, 20, 19, 20, 20]);
@@ -99,10 +83,7 @@ fn what_is_no_run_is_refused() {
         let message = error.to_string();
         assert_has(&message, &["steps.csv", told]);
     }
-    assert!(
-        !out.exists(),
-        "nothing is written for what cannot be plotted"
-    );
+    assert!(!out.exists(), "nothing is written for what cannot be plotted");
 }
 
 #[test]
@@ -136,14 +117,11 @@ fn sweeps_stand_for_their_finished_runs_and_probes_can_be_chosen() {
     for part in ["--probes", "no run has a probe \"tip\"", "front, centre_x"] {
         assert!(error.contains(part), "{error}");
     }
-    for (summary, problem) in [
-        ("status,folder\nfailed,a\n", "no finished run"),
-        ("folder\na\n", "no columns `status` and `folder`"),
-    ] {
+    for (summary, problem) in
+        [("status,folder\nfailed,a\n", "no finished run"), ("folder\na\n", "no columns `status` and `folder`")]
+    {
         fs::write(sweep.join("summary.csv"), summary).unwrap();
-        let error = with_sweeps(std::slice::from_ref(&sweep))
-            .unwrap_err()
-            .to_string();
+        let error = with_sweeps(std::slice::from_ref(&sweep)).unwrap_err().to_string();
         assert!(error.contains(problem), "{error}");
     }
 }

@@ -90,9 +90,9 @@ fn reactions_close_the_balance_of_momentum() {
                 let report = simulation.step().unwrap();
                 let solid = report.solid.unwrap();
                 let momentum = DVec3::from(solid.diagnosis.momentum);
-                let force = report.coupling.map_or(DVec3::ZERO, |coupling| {
-                    DVec3::from(coupling.force) + DVec3::from(coupling.correction)
-                });
+                let force = report
+                    .coupling
+                    .map_or(DVec3::ZERO, |coupling| DVec3::from(coupling.force) + DVec3::from(coupling.correction));
                 let values = simulation.probes().unwrap();
                 let [all, pin, script, centre, mean, mean_velocity, corner] =
                     std::array::from_fn(|probe| DVec3::from_slice(&values[3 * probe..]));
@@ -100,38 +100,25 @@ fn reactions_close_the_balance_of_momentum() {
                 assert!((pin + script).distance(all) <= 1e-12 * scale, "step {step}");
                 // The scripted nodes have their first velocity before the first sub-step.
                 if step > 0 {
-                    let balance = (momentum - before) / report.dt + 0.7 * momentum
-                        - mass * GRAVITY
-                        - load
-                        - force;
+                    let balance = (momentum - before) / report.dt + 0.7 * momentum - mass * GRAVITY - load - force;
                     // The residual of the solve is 1e-10 of forces like m v / dt, which are up to 1e3 of these; single precision of
                     // velocities and of the report is 1e-7 of the same.
                     let off = all.distance(balance);
-                    assert!(
-                        off <= 1e-3 * scale,
-                        "liquid {liquid}, {backend:?}, step {step}: {all} of {balance} N"
-                    );
+                    assert!(off <= 1e-3 * scale, "liquid {liquid}, {backend:?}, step {step}: {all} of {balance} N");
                 }
                 before = momentum;
                 let off = (mass * centre).distance(momentum);
-                assert!(
-                    off <= 1e-5 * momentum.length(),
-                    "{centre} m/s, {momentum} kg m/s"
-                );
+                assert!(off <= 1e-5 * momentum.length(), "{centre} m/s, {momentum} kg m/s");
                 let state = simulation.state().unwrap();
                 let rest = &simulation.solids().rest;
-                let inside: Vec<usize> = (0..rest.len())
-                    .filter(|&node| rest[node].x >= 0.7)
-                    .collect();
+                let inside: Vec<usize> = (0..rest.len()).filter(|&node| rest[node].x >= 0.7).collect();
                 let of = |values: &[[f64; 3]]| {
                     let sum: DVec3 = inside.iter().map(|&node| DVec3::from(values[node])).sum();
                     sum / inside.len() as f64
                 };
                 assert!(mean.distance(of(&state.displacement)) < 1e-12);
                 assert!(mean_velocity.distance(of(&state.node_velocity)) < 1e-12);
-                let middle = simulation
-                    .solids()
-                    .nearest_node(0, DVec3::new(0.5, 0.5, 0.3));
+                let middle = simulation.solids().nearest_node(0, DVec3::new(0.5, 0.5, 0.3));
                 assert_eq!(corner.to_array(), state.node_velocity[middle]);
                 ends.push(all);
             }
@@ -150,14 +137,8 @@ fn reactions_close_the_balance_of_momentum() {
 fn reactions_need_constrained_nodes() {
     let mut free = scene(false);
     free.solids[0].pins.clear();
-    let error = Simulation::new(&free, &Backend::Cpu)
-        .unwrap_err()
-        .to_string();
-    for part in [
-        "probe[0].reaction",
-        "no pinned or scripted node",
-        "[[solid.pin]]",
-    ] {
+    let error = Simulation::new(&free, &Backend::Cpu).unwrap_err().to_string();
+    for part in ["probe[0].reaction", "no pinned or scripted node", "[[solid.pin]]"] {
         assert!(error.contains(part), "{error}");
     }
 }

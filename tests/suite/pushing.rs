@@ -30,10 +30,7 @@ fn block(centre: [f64; 3], young: f64) -> String {
 fn lift(young: f64) -> Scene {
     let platform = "[[obstacle]]\nbox = { min = [0.2, 0.1, 0.2], max = [0.8, 0.2, 0.8] }\n\
                     keyframes = [{ t = 0.1 }, { t = 1.1, translate = [0, 0.3, 0] }]\n";
-    scene(
-        -9.81,
-        &format!("{platform}{}", block([0.5, 0.3, 0.5], young)),
-    )
+    scene(-9.81, &format!("{platform}{}", block([0.5, 0.3, 0.5], young)))
 }
 
 /// Runs to a time, s; `after` is called with each sub-step's report and state.
@@ -73,10 +70,7 @@ fn a_platform_lifts_a_block() {
         // and more where it still swings.
         assert!(lowest >= -2e-4 * dx, "{young}: {lowest} m below");
         let sag = 1000.0 * 9.81 * 0.04 / (2.0 * young);
-        assert!(
-            (height - 0.1).abs() <= 2.0 * sag + 2e-4 * dx,
-            "{young}: {height} m"
-        );
+        assert!((height - 0.1).abs() <= 2.0 * sag + 2e-4 * dx, "{young}: {height} m");
         assert!((speed - 0.3).abs() <= 0.02, "{young}: {speed} m/s");
     }
 }
@@ -141,11 +135,7 @@ fn a_turning_bar_sweeps_a_block() {
 fn pushed_solids_are_the_twins() {
     let Some(_) = gpu() else { return };
     let comparison = compare(&lift(1e6), 10, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
-    let breached: Vec<_> = comparison
-        .rows
-        .iter()
-        .filter(|row| row.breached())
-        .collect();
+    let breached: Vec<_> = comparison.rows.iter().filter(|row| row.breached()).collect();
     assert!(breached.is_empty(), "{breached:?}");
     assert!(comparison.verdict().is_ok());
 }

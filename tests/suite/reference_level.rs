@@ -4,11 +4,10 @@ use cutwater::elastic::Solids;
 use cutwater::geometry::{CutCells, ObstacleCut, initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
-    Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level,
-    advect_level_markers, advect_velocity_maccormack, balance, bound_level, excess,
-    extrapolate_with_slope, face_mass, filter_level, first_markers, interpolant_part, land,
-    landing_faces, liquid_components, marker_band, marker_weights, occupancy, open_volumes,
-    redistance, spray, take_landing, thin_liquid, volume_shift,
+    Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level, advect_level_markers,
+    advect_velocity_maccormack, balance, bound_level, excess, extrapolate_with_slope, face_mass, filter_level,
+    first_markers, interpolant_part, land, landing_faces, liquid_components, marker_band, marker_weights, occupancy,
+    open_volumes, redistance, spray, take_landing, thin_liquid, volume_shift,
 };
 use cutwater::scene::Scene;
 use cutwater::state::State;
@@ -36,8 +35,7 @@ fn field(grid: &Grid, f: impl Fn(DVec3) -> f64) -> Vec<f64> {
 /// Face velocities, m/s, of a function of positions in cells.
 fn faces(grid: &Grid, f: impl Fn(DVec3) -> DVec3) -> [Vec<f64>; 3] {
     Axis::ALL.map(|axis| {
-        let value =
-            |face| f(grid.face_centre(axis, grid.face_at(axis, face)) / grid.dx)[axis.index()];
+        let value = |face| f(grid.face_centre(axis, grid.face_at(axis, face)) / grid.dx)[axis.index()];
         (0..grid.n_faces(axis)).map(value).collect()
     })
 }
@@ -56,13 +54,7 @@ fn inner(grid: &Grid, margin: usize) -> impl Iterator<Item = usize> + '_ {
 
 /// The first markers of a level (cells), flat between the cells.
 fn band_of(grid: &Grid, distance: &[f64], level: &[f64], seed: u32) -> Vec<[f64; 3]> {
-    first_markers(
-        grid,
-        distance,
-        level,
-        |x| grid.sample_cells(level, x) < 0.0,
-        seed,
-    )
+    first_markers(grid, distance, level, |x| grid.sample_cells(level, x) < 0.0, seed)
 }
 
 #[test]
@@ -72,14 +64,7 @@ fn a_plane_stays_exact_in_uniform_motion() {
     let velocity = DVec3::new(0.7, -1.1, 0.4);
     let u = faces(&grid, |_| velocity);
     let dt = 0.4;
-    let after = advect_level(
-        &grid,
-        Sides::default(),
-        &u,
-        &Ballistic::NONE,
-        &field(&grid, plane),
-        dt,
-    );
+    let after = advect_level(&grid, Sides::default(), &u, &Ballistic::NONE, &field(&grid, plane), dt);
     let exact = field(&grid, |x| plane(x - dt / DX * velocity));
     for cell in inner(&grid, 5) {
         close(after[cell], exact[cell], 1e-12);
@@ -89,10 +74,7 @@ fn a_plane_stays_exact_in_uniform_motion() {
 #[test]
 fn transport_of_a_level_is_of_second_order() {
     let error = |n: usize| {
-        let grid = Grid {
-            cells: [n, n, 4],
-            dx: 1.0 / n as f64,
-        };
+        let grid = Grid { cells: [n, n, 4], dx: 1.0 / n as f64 };
         let level = |x: DVec3| (6.0 * x.x).sin() * (5.0 * x.y).cos();
         let u = faces(&grid, |_| DVec3::new(0.3, 0.2, 0.0));
         let h = grid.dx;
@@ -107,8 +89,7 @@ fn transport_of_a_level_is_of_second_order() {
             let x = grid.cell_centre(grid.cell_at(cell));
             (0.3..0.8).contains(&x.x) && (0.3..0.8).contains(&x.y)
         });
-        away.map(|cell| (phi[cell] - exact[cell]).abs())
-            .fold(0.0, f64::max)
+        away.map(|cell| (phi[cell] - exact[cell]).abs()).fold(0.0, f64::max)
     };
     let [coarse, fine] = [error(32), error(64)];
     assert!(fine < 0.3 * coarse, "{coarse:e} {fine:e}");
@@ -127,11 +108,7 @@ fn maccormack_is_exact_for_linear_velocities_that_stay() {
         let ijk = grid.cell_at(cell);
         let face = grid.face(Axis::Z, ijk);
         let x = grid.face_centre(Axis::Z, ijk) / DX;
-        close(
-            after[2][face],
-            0.3 * (x.x - 0.5 * 0.3 / DX) - 0.2 * x.y,
-            1e-12,
-        );
+        close(after[2][face], 0.3 * (x.x - 0.5 * 0.3 / DX) - 0.2 * x.y, 1e-12);
     }
     assert_eq!(cut.open[0].len(), grid.n_faces(Axis::X));
 }
@@ -146,20 +123,12 @@ fn markers_count_to_the_last_place() {
     let weights = marker_weights(&grid, &markers, &flies);
     let sum: u64 = weights.iter().sum();
     let one = f64::from(1 << 20);
-    close(
-        sum as f64 / one,
-        markers.len() as f64,
-        8.0 * markers.len() as f64 / one,
-    );
+    close(sum as f64 / one, markers.len() as f64, 8.0 * markers.len() as f64 / one);
     // The order has no effect, and spray has no weight.
     let reversed: Vec<_> = markers.iter().rev().copied().collect();
     assert_eq!(marker_weights(&grid, &reversed, &flies), weights);
     flies.fill(true);
-    assert!(
-        marker_weights(&grid, &markers, &flies)
-            .iter()
-            .all(|&w| w == 0)
-    );
+    assert!(marker_weights(&grid, &markers, &flies).iter().all(|&w| w == 0));
 }
 
 #[test]
@@ -178,9 +147,7 @@ fn occupancy_of_a_full_band_is_one() {
         }
     }
     // Beside a wall of an obstacle the open part counts.
-    let wall: Vec<f64> = (0..grid.n_cells())
-        .map(|cell| grid.cell_centre(grid.cell_at(cell)).x - 2.9 * DX)
-        .collect();
+    let wall: Vec<f64> = (0..grid.n_cells()).map(|cell| grid.cell_centre(grid.cell_at(cell)).x - 2.9 * DX).collect();
     let markers = band_of(&grid, &wall, &level, 1);
     let spray = vec![false; markers.len()];
     let f = occupancy(&grid, &wall, &level, &markers, &spray);
@@ -196,10 +163,7 @@ fn occupancy_of_a_full_band_is_one() {
 fn bounds_move_a_level_that_markers_contradict_alone() {
     let grid = grid([10, 14, 10]);
     let cut = without_bodies(&grid);
-    let cells = LevelCells {
-        grid: &grid,
-        cut: &cut,
-    };
+    let cells = LevelCells { grid: &grid, cut: &cut };
     let level = field(&grid, |x| x.y - 8.3);
     let markers = band_of(&grid, &cut.solid_distance, &level, 1);
     let spray = vec![false; markers.len()];
@@ -225,21 +189,13 @@ fn bounds_move_a_level_that_markers_contradict_alone() {
 fn redistance_keeps_the_interface_cells_of_a_plane() {
     let grid = grid([20, 20, 20]);
     let cut = without_bodies(&grid);
-    let cells = LevelCells {
-        grid: &grid,
-        cut: &cut,
-    };
+    let cells = LevelCells { grid: &grid, cut: &cut };
     let normal = DVec3::new(0.48, 0.8, 0.36);
     let plane = field(&grid, |x| (x - 10.13).dot(normal).clamp(-5.0, 5.0));
     let after = redistance(cells, &plane);
     let inside = |cell: usize| plane[cell] < 0.0;
     for cell in inner(&grid, 5) {
-        let across = |axis| {
-            cells
-                .beside(cell, axis)
-                .into_iter()
-                .any(|n| inside(n) != inside(cell))
-        };
+        let across = |axis| cells.beside(cell, axis).into_iter().any(|n| inside(n) != inside(cell));
         if Axis::ALL.into_iter().any(across) {
             assert_eq!(after[cell], plane[cell]);
         } else if plane[cell].abs() < 2.0 {
@@ -252,25 +208,16 @@ fn redistance_keeps_the_interface_cells_of_a_plane() {
         steep = redistance(cells, &steep);
     }
     let near = |&cell: &usize| (0.2..1.2).contains(&plane[cell].abs());
-    let ratios: Vec<f64> = inner(&grid, 6)
-        .filter(near)
-        .map(|cell| steep[cell] / plane[cell])
-        .collect();
+    let ratios: Vec<f64> = inner(&grid, 6).filter(near).map(|cell| steep[cell] / plane[cell]).collect();
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
-    assert!(
-        ratios.iter().all(|&ratio| ratio > 0.0) && mean < 1.45,
-        "{mean}"
-    );
+    assert!(ratios.iter().all(|&ratio| ratio > 0.0) && mean < 1.45, "{mean}");
 }
 
 #[test]
 fn the_filter_damps_ripples_and_keeps_planes() {
     let grid = grid([16, 16, 16]);
     let cut = without_bodies(&grid);
-    let cells = LevelCells {
-        grid: &grid,
-        cut: &cut,
-    };
+    let cells = LevelCells { grid: &grid, cut: &cut };
     let plane = field(&grid, |x| x.y - 8.2);
     let thick = vec![false; plane.len()];
     assert_eq!(filter_level(cells, &thick, 1.0, &plane), plane);
@@ -318,30 +265,13 @@ fn the_shift_restores_the_volume_of_each_component() {
     let target = 64.0 * 6.6 * grid.cell_volume();
     for _ in 0..200 {
         let components = measure(&distance);
-        volume_shift(
-            &grid,
-            &volumes,
-            &components,
-            &[target],
-            [0.1, 0.02],
-            &mut distance,
-        );
+        volume_shift(&grid, &volumes, &components, &[target], [0.1, 0.02], &mut distance);
     }
     let volume = measure(&distance).volume[0];
     close(volume / target, 1.0, 0.0051);
     // Enclosed liquid does not move.
-    let components = Components {
-        enclosed: vec![true],
-        ..measure(&distance)
-    };
-    let shifts = volume_shift(
-        &grid,
-        &volumes,
-        &components,
-        &[9.0],
-        [0.1, 0.02],
-        &mut distance,
-    );
+    let components = Components { enclosed: vec![true], ..measure(&distance) };
+    let shifts = volume_shift(&grid, &volumes, &components, &[9.0], [0.1, 0.02], &mut distance);
     assert_eq!(shifts, [0.0]);
 }
 
@@ -349,10 +279,7 @@ fn the_shift_restores_the_volume_of_each_component() {
 fn crowded_markers_are_an_excess() {
     let grid = grid([8, 12, 8]);
     let cut = without_bodies(&grid);
-    let cells = LevelCells {
-        grid: &grid,
-        cut: &cut,
-    };
+    let cells = LevelCells { grid: &grid, cut: &cut };
     let level = field(&grid, |x| x.y - 8.2);
     let volumes = open_volumes(&grid, &cut.solid_distance);
     let components = liquid_components(&grid, &cut.open, &volumes, &level);
@@ -362,11 +289,7 @@ fn crowded_markers_are_an_excess() {
         // Sources renew two thirds of the liquid: half of it is controlled.
         let renewed = components.volume[0] / 1.5;
         let half = excess(cells, &components, renewed, &occupancy, &level);
-        assert!(
-            half.iter()
-                .zip(&e_of)
-                .all(|(half, e)| (half - 0.5 * e).abs() < 1e-12)
-        );
+        assert!(half.iter().zip(&e_of).all(|(half, e)| (half - 0.5 * e).abs() < 1e-12));
         for (cell, &phi) in level.iter().enumerate() {
             match phi < 0.0 && phi > -4.0 {
                 true => close(e_of[cell], e, 1e-12),
@@ -387,10 +310,7 @@ fn the_band_seeds_what_enters_it_and_deletes_what_leaves() {
     markers.extend(&grid, &rest, &positions);
     let none = vec![0.0; grid.n_cells()];
     let mut from = |carried: f64, to: f64| {
-        let levels = Levels {
-            carried: &level(carried),
-            level: &level(to),
-        };
+        let levels = Levels { carried: &level(carried), level: &level(to) };
         marker_band(&grid, &distance, levels, &none, [5, 7], &rest, &mut markers)
     };
     // The surface falls by 1.5 cells: as many markers enter from below.
@@ -416,15 +336,7 @@ fn spray_flies_on_parabolas_and_lands() {
     let gravity = DVec3::new(0.0, -9.81, 0.0);
     let (dt, steps) = (0.02, 10);
     for _ in 0..steps {
-        advect_level_markers(
-            &grid,
-            Sides::default(),
-            &u,
-            &distance,
-            (gravity, &Ballistic::NONE),
-            dt,
-            &mut markers,
-        );
+        advect_level_markers(&grid, Sides::default(), &u, &distance, (gravity, &Ballistic::NONE), dt, &mut markers);
     }
     let t = dt * f64::from(steps);
     close(markers.position[0][0], 1.0 + 0.2 * t, 1e-12);
@@ -446,13 +358,9 @@ fn spray_flies_on_parabolas_and_lands() {
 fn markers_that_land_keep_their_momentum() {
     let grid = grid([12, 14, 12]);
     let mut cut = without_bodies(&grid);
-    let level = field(&grid, |x| {
-        (x.y - 5.3).min((x - DVec3::new(6.2, 9.0, 6.0)).length() - 1.4)
-    });
+    let level = field(&grid, |x| (x.y - 5.3).min((x - DVec3::new(6.2, 9.0, 6.0)).length() - 1.4));
     let phi: Vec<f64> = level.iter().map(|phi| DX * phi).collect();
-    let volumes: Vec<f64> = (0..level.len())
-        .map(|cell| interpolant_part(&grid, &level, cell))
-        .collect();
+    let volumes: Vec<f64> = (0..level.len()).map(|cell| interpolant_part(&grid, &level, cell)).collect();
     // Some closed faces, which take nothing.
     for open in &mut cut.open {
         open.iter_mut().step_by(17).for_each(|open| *open = 0.0);
@@ -461,43 +369,25 @@ fn markers_that_land_keep_their_momentum() {
     let n = 400;
     let mut place = || [0, 1, 2].map(|_| random.uniform(0.3, 2.7));
     let position: Vec<[f64; 3]> = (0..n).map(|_| place()).collect();
-    let mut markers = Markers {
-        velocity: (0..n).map(|_| place().map(|v| 2.0 * v - 3.0)).collect(),
-        spray: vec![true; n],
-        position,
-    };
+    let mut markers =
+        Markers { velocity: (0..n).map(|_| place().map(|v| 2.0 * v - 3.0)).collect(), spray: vec![true; n], position };
     let u = faces(&grid, |x| DVec3::new(0.3 * x.y, 0.1 - 0.2 * x.z, 0.4 * x.x));
     let dt = 0.1;
     let landed = land(&grid, &phi, &mut markers);
     assert!(landed.len() > 100 && landed.len() < n, "{}", landed.len());
     let mut after = u.clone();
     let liquid = (&phi[..], &volumes[..]);
-    take_landing(
-        &grid,
-        &cut.open,
-        liquid,
-        (&markers, &landed),
-        dt,
-        &mut after,
-    );
+    take_landing(&grid, &cut.open, liquid, (&markers, &landed), dt, &mut after);
     for axis in Axis::ALL {
         let a = axis.index();
         let mut weights = vec![0.0; grid.n_faces(axis)];
         let (mut brought, mut largest) = (0.0, 0.0_f64);
         for &marker in &landed {
             let v = markers.velocity[marker][a];
-            let taking = landing_faces(
-                &grid,
-                &cut.open[a],
-                &phi,
-                axis,
-                markers.position[marker].into(),
-            );
+            let taking = landing_faces(&grid, &cut.open[a], &phi, axis, markers.position[marker].into());
             let sum: f64 = taking.iter().map(|(_, weight)| weight).sum();
             assert!(taking.is_empty() || (sum - 1.0).abs() < 1e-12);
-            taking
-                .iter()
-                .for_each(|&(face, weight)| weights[face] += weight / 8.0);
+            taking.iter().for_each(|&(face, weight)| weights[face] += weight / 8.0);
             brought += sum * v / 8.0;
             largest = largest.max(v.abs());
         }
@@ -517,14 +407,7 @@ fn markers_that_land_keep_their_momentum() {
     // The order has no effect.
     let reversed: Vec<usize> = landed.iter().rev().copied().collect();
     let mut again = u;
-    take_landing(
-        &grid,
-        &cut.open,
-        liquid,
-        (&markers, &reversed),
-        dt,
-        &mut again,
-    );
+    take_landing(&grid, &cut.open, liquid, (&markers, &reversed), dt, &mut again);
     assert_eq!(after, again);
 }
 
@@ -565,10 +448,7 @@ fn start(scene: &Scene) -> Reference {
 
 fn pool(level: f64, rest: &str) -> Scene {
     let region = format!("[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, {level}, 1] }}\n");
-    scene(
-        [12, 14, 12],
-        &format!("surface = \"level\"\n{region}{rest}"),
-    )
+    scene([12, 14, 12], &format!("surface = \"level\"\n{region}{rest}"))
 }
 
 #[test]
@@ -634,10 +514,7 @@ fn sampled_volume(grid: &Grid, state: &State) -> f64 {
 #[test]
 fn thin_liquid_keeps_the_volume_of_its_shape() {
     let (n, c) = ([14, 28, 14], 1.0 / 14.0);
-    let ball = format!(
-        "sphere = {{ centre = [0.51, 1.53, 0.49], radius = {} }}",
-        2.0 * c
-    );
+    let ball = format!("sphere = {{ centre = [0.51, 1.53, 0.49], radius = {} }}", 2.0 * c);
     let sheet = |thick: f64| {
         let [low, high] = [20.3 * c, (20.3 + thick) * c];
         let text = format!("box = {{ min = [0.2, {low}, 0.2], max = [0.8, {high}, 0.8] }}");
@@ -645,20 +522,13 @@ fn thin_liquid_keeps_the_volume_of_its_shape() {
     };
     let of_ball = 4.0 / 3.0 * std::f64::consts::PI * 8.0;
     for (region, exact, allowed) in [(ball, of_ball, 0.08), sheet(1.5), sheet(2.0)] {
-        let scene = scene(
-            n,
-            &format!("surface = \"level\"\n[[liquid.region]]\n{region}\n"),
-        );
+        let scene = scene(n, &format!("surface = \"level\"\n[[liquid.region]]\n{region}\n"));
         let grid = scene.grid();
         let mut reference = start(&scene);
         let markers = reference.state().markers.len() as f64 / 8.0;
         // As many sites as the surface cuts hang on their jitter; half of them deviate by a third of a marker.
         close(markers / exact, 1.0, 0.05);
-        close(
-            reference.state().volume_0 / grid.cell_volume() / exact,
-            1.0,
-            0.01,
-        );
+        close(reference.state().volume_0 / grid.cell_volume() / exact, 1.0, 0.01);
         while reference.state().time < 0.37 {
             let volume = sampled_volume(&grid, reference.state());
             close(volume / exact, 1.0, allowed);
@@ -682,10 +552,7 @@ fn a_pool_around_a_sphere_stays_calm() {
             let time_step = reference.next_time_step();
             let report = reference.step(time_step).unwrap();
             let speed = report.liquid.unwrap().diagnosis.max_speed;
-            assert!(
-                speed <= allowed * 9.81 * time_step.dt,
-                "{centre:?}: {speed:e}"
-            );
+            assert!(speed <= allowed * 9.81 * time_step.dt, "{centre:?}: {speed:e}");
         }
     }
 }

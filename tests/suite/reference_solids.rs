@@ -5,8 +5,8 @@ use std::sync::Arc;
 use cutwater::elastic::{Bounds, Solids, rest_shape, stiffness_block};
 use cutwater::linalg::{LinearOperator, dot, norm};
 use cutwater::reference::{
-    BlockPattern, Chebyshev, Freedom, SolidMatrices, SolidSolver, SolidSystem, diagnose_solid,
-    move_solid, node_forces, solid_matrices, solid_right_hand_side,
+    BlockPattern, Chebyshev, Freedom, SolidMatrices, SolidSolver, SolidSystem, diagnose_solid, move_solid, node_forces,
+    solid_matrices, solid_right_hand_side,
 };
 use cutwater::scene::{ElasticModel, Pin, Scene, Shape, Solid, Solver};
 use cutwater::state::SolveStatus;
@@ -21,45 +21,23 @@ fn matrices(solids: &Solids, displacement: &[[f64; 3]]) -> SolidMatrices {
 }
 
 /// The system of a step from displacements (m) and v* (m/s).
-fn system(
-    solids: &Solids,
-    displacement: &[[f64; 3]],
-    velocity: &[[f64; 3]],
-    dt: f64,
-) -> SolidSystem {
+fn system(solids: &Solids, displacement: &[[f64; 3]], velocity: &[[f64; 3]], dt: f64) -> SolidSystem {
     let matrices = matrices(solids, displacement);
     let rhs = solid_right_hand_side(solids, &matrices, velocity, dt);
     let freedom = Freedom::all(solids);
-    SolidSystem::new(
-        solids,
-        matrices.stiffness.clone(),
-        &rhs,
-        velocity,
-        freedom,
-        dt,
-    )
+    SolidSystem::new(solids, matrices.stiffness.clone(), &rhs, velocity, freedom, dt)
 }
 
 fn half(min: [f64; 3], max: [f64; 3], components: [bool; 3]) -> Pin {
-    let region = Shape::Box {
-        min: min.into(),
-        max: max.into(),
-    };
-    Pin {
-        region,
-        components,
-        keyframes: Vec::new(),
-        pivot: None,
-    }
+    let region = Shape::Box { min: min.into(), max: max.into() };
+    Pin { region, components, keyframes: Vec::new(), pivot: None }
 }
 
 /// Three bodies: rubber held at one end and by rollers, stiff and damped, linear and nearly incompressible.
 fn stack() -> Scene {
     let mut held = block([1.0, 0.2, 0.3], [5, 2, 2]);
-    held.pins = vec![
-        half([0.0; 3], [0.0, 1.0, 1.0], [true; 3]),
-        half([0.5, 0.0, 0.0], [1.0, 0.0, 1.0], [false, true, false]),
-    ];
+    held.pins =
+        vec![half([0.0; 3], [0.0, 1.0, 1.0], [true; 3]), half([0.5, 0.0, 0.0], [1.0, 0.0, 1.0], [false, true, false])];
     let mut stiff = block([0.4, 0.4, 0.4], [2, 3, 2]);
     stiff.placement.translate = DVec3::splat(2.0);
     stiff.placement.rotate = DMat3::from_rotation_x(0.4);
@@ -139,8 +117,7 @@ fn the_stiffness_matrix_is_the_sum_of_the_elements() {
                 let block = volume * rotation * unturned * rotation.transpose();
                 for i in 0..3 {
                     for j in 0..3 {
-                        let (row, column) =
-                            (3 * corners[a] as usize + i, 3 * corners[b] as usize + j);
+                        let (row, column) = (3 * corners[a] as usize + i, 3 * corners[b] as usize + j);
                         dense[3 * n * row + column] += block.col(j)[i];
                     }
                 }
@@ -151,17 +128,10 @@ fn the_stiffness_matrix_is_the_sum_of_the_elements() {
         let size = k.get(row, row);
         for column in 0..3 * n {
             let error = (k.get(row, column) - dense[3 * n * row + column]).abs();
-            assert!(
-                error <= 1e-12 * size,
-                "({row}, {column}) is off by {error:e}"
-            );
+            assert!(error <= 1e-12 * size, "({row}, {column}) is off by {error:e}");
         }
         for axis in 0..3 {
-            let sum: f64 = k
-                .row(row)
-                .filter(|(column, _)| column % 3 == axis)
-                .map(|(_, x)| x)
-                .sum();
+            let sum: f64 = k.row(row).filter(|(column, _)| column % 3 == axis).map(|(_, x)| x).sum();
             assert!(sum.abs() <= 1e-12 * size, "row {row} sums to {sum:e}");
         }
     }
@@ -181,10 +151,7 @@ fn elastic_forces_have_no_resultant_and_no_moment() {
     for size in [1e-3, 0.1, 1.0] {
         let turn = random_rotation(&mut random);
         let mut u = displaced(&solids, |x| turn * x);
-        for (u, noise) in u
-            .iter_mut()
-            .zip(noise(&mut random, solids.rest.len(), size))
-        {
+        for (u, noise) in u.iter_mut().zip(noise(&mut random, solids.rest.len(), size)) {
             *u = (DVec3::from(*u) + DVec3::from(noise)).to_array();
         }
         let still = vec![[0.0; 3]; solids.rest.len()];
@@ -192,16 +159,11 @@ fn elastic_forces_have_no_resultant_and_no_moment() {
         let force = |node: usize| DVec3::from(rhs.values[node]);
         let nodes = 0..solids.rest.len();
         let sum: DVec3 = nodes.clone().map(force).sum();
-        let moment: DVec3 = nodes
-            .clone()
-            .map(|node| (solids.rest[node] + DVec3::from(u[node])).cross(force(node)))
-            .sum();
+        let moment: DVec3 =
+            nodes.clone().map(|node| (solids.rest[node] + DVec3::from(u[node])).cross(force(node))).sum();
         let scale: f64 = nodes.map(|node| force(node).length()).sum();
         assert!(sum.length() <= 1e-13 * scale, "{sum} of {scale} N");
-        assert!(
-            moment.length() <= 1e-13 * scale * 2.0,
-            "{moment} of {scale} N m"
-        );
+        assert!(moment.length() <= 1e-13 * scale * 2.0, "{moment} of {scale} N m");
     }
 }
 
@@ -217,17 +179,10 @@ fn turned_bodies_carry_no_force() {
         let u = displaced(&solids, |x| turn * x + DVec3::splat(0.3));
         let still = vec![[0.0; 3]; u.len()];
         let rhs = solid_right_hand_side(&solids, &matrices(&solids, &u), &still, 1.0);
-        let largest = rhs
-            .values
-            .iter()
-            .flatten()
-            .fold(0.0, |m, f| f64::max(m, f.abs()));
+        let largest = rhs.values.iter().flatten().fold(0.0, |m, f| f64::max(m, f.abs()));
         // E times the area of a node's share.
         let bound = 1e-12 * 210e9 * 0.05 * 0.05 * 24.0;
-        assert!(
-            largest <= bound,
-            "{degrees} degrees: {largest} N, allowed {bound}"
-        );
+        assert!(largest <= bound, "{degrees} degrees: {largest} N, allowed {bound}");
     }
 }
 
@@ -237,10 +192,7 @@ fn affine_displacements_pass_through_an_irregular_block() {
     let mut solid = block([1.0; 3], [4, 4, 4]);
     solid.poisson = 0.45;
     for model in [ElasticModel::Corotational, ElasticModel::Linear] {
-        let scene = scene_of(vec![Solid {
-            model,
-            ..solid.clone()
-        }]);
+        let scene = scene_of(vec![Solid { model, ..solid.clone() }]);
         let mut mesh = cutwater::geometry::TetMesh::new(&scene.solids[0], "test").unwrap();
         let mut random = Random(31);
         for x in &mut mesh.nodes {
@@ -258,19 +210,12 @@ fn affine_displacements_pass_through_an_irregular_block() {
         let u = displaced(&solids, |x| turn * (stretch * x));
         let still = vec![[0.0; 3]; u.len()];
         let rhs = solid_right_hand_side(&solids, &matrices(&solids, &u), &still, 1.0);
-        let scale = rhs
-            .values
-            .iter()
-            .flatten()
-            .fold(0.0, |m, f| f64::max(m, f.abs()));
+        let scale = rhs.values.iter().flatten().fold(0.0, |m, f| f64::max(m, f.abs()));
         let mut inside = 0;
         for (x, f) in solids.rest.iter().zip(&rhs.values) {
             if x.min_element() > 0.0 && x.max_element() < 1.0 {
                 let force = DVec3::from(*f).length();
-                assert!(
-                    force <= 1e-12 * scale,
-                    "{model:?}: {force} of {scale} N at {x}"
-                );
+                assert!(force <= 1e-12 * scale, "{model:?}: {force} of {scale} N at {x}");
                 inside += 1;
             }
         }
@@ -314,8 +259,7 @@ fn element_bounds_hold_for_assembled_matrices() {
                 for x in &mut mesh.nodes {
                     // Below half of the smallest height; pinned nodes keep their places.
                     if x.x > 0.0 && x.y > 0.0 {
-                        *x +=
-                            DVec3::from_array(std::array::from_fn(|_| random.uniform(-0.02, 0.02)));
+                        *x += DVec3::from_array(std::array::from_fn(|_| random.uniform(-0.02, 0.02)));
                     }
                 }
                 mesh
@@ -348,26 +292,16 @@ fn element_bounds_hold_for_assembled_matrices() {
                 system.apply(&free, &mut y);
                 y
             });
-            assert!(
-                largest <= bounds.block_jacobi,
-                "{largest} above {}",
-                bounds.block_jacobi
-            );
+            assert!(largest <= bounds.block_jacobi, "{largest} above {}", bounds.block_jacobi);
             assert!(bounds.block_jacobi <= 4.0 && bounds.block_jacobi >= 1.0);
             if dt > 1.0 {
-                assert!(
-                    largest > 0.3 * bounds.block_jacobi,
-                    "{largest} far below {}",
-                    bounds.block_jacobi
-                );
+                assert!(largest > 0.3 * bounds.block_jacobi, "{largest} far below {}", bounds.block_jacobi);
             }
         }
         let stiffness = matrices(&solids, &u).stiffness;
         for (body, bound) in solids.bodies.iter().zip(&bounds.frequency_squared) {
             let masses = solids.mass.iter();
-            let masses: Vec<DMat3> = masses
-                .map(|&mass| DMat3::from_diagonal(DVec3::splat(mass)))
-                .collect();
+            let masses: Vec<DMat3> = masses.map(|&mass| DMat3::from_diagonal(DVec3::splat(mass))).collect();
             let largest = largest_eigenvalue(&masses, |x| {
                 let product = |node: usize| match body.nodes.contains(&node) {
                     true => stiffness.product(node, x).to_array(),
@@ -375,10 +309,7 @@ fn element_bounds_hold_for_assembled_matrices() {
                 };
                 (0..n).flat_map(product).collect()
             });
-            assert!(
-                largest <= *bound && largest > 0.2 * bound,
-                "{largest} and {bound}"
-            );
+            assert!(largest <= *bound && largest > 0.2 * bound, "{largest} and {bound}");
         }
     }
 }
@@ -390,11 +321,7 @@ fn direct_and_iterative_solves_agree() {
     let solids = solids_of(&scene);
     let n = solids.rest.len();
     let mut random = Random(12);
-    let settings = Solver {
-        tolerance: 1e-11,
-        max_iterations: 2000,
-        ..Solver::default()
-    };
+    let settings = Solver { tolerance: 1e-11, max_iterations: 2000, ..Solver::default() };
     let solver = SolidSolver::new(&solids);
     for dt in [1e-4, 1.0 / 24.0] {
         let (u, v) = (noise(&mut random, n, 0.01), noise(&mut random, n, 1.0));
@@ -404,10 +331,7 @@ fn direct_and_iterative_solves_agree() {
         assert_eq!(report.unknowns, system.n_unknowns());
         let (iterative, iterations) = solver.solve_iterative(&solids, &system, &settings);
         assert_eq!(iterations.status, SolveStatus::Converged, "{iterations:?}");
-        let largest = direct
-            .as_flattened()
-            .iter()
-            .fold(0.0, |m, v| f64::max(m, v.abs()));
+        let largest = direct.as_flattened().iter().fold(0.0, |m, v| f64::max(m, v.abs()));
         for (a, b) in direct.as_flattened().iter().zip(iterative.as_flattened()) {
             assert!((a - b).abs() <= 1e-7 * largest, "dt {dt}: {a} and {b}");
         }
@@ -422,14 +346,9 @@ fn direct_and_iterative_solves_agree() {
         let matrices = matrices(&solids, &u);
         let rhs = solid_right_hand_side(&solids, &matrices, &v, dt);
         let mut product = vec![0.0; 3 * n];
-        system
-            .to_csr()
-            .multiply(direct.as_flattened(), &mut product);
-        let residual: Vec<f64> = system
-            .components()
-            .into_iter()
-            .map(|at| rhs.values.as_flattened()[at] - product[at])
-            .collect();
+        system.to_csr().multiply(direct.as_flattened(), &mut product);
+        let residual: Vec<f64> =
+            system.components().into_iter().map(|at| rhs.values.as_flattened()[at] - product[at]).collect();
         let relative = norm(&residual) / norm(&system.rhs);
         assert!(relative <= 1e-9, "{relative:e}");
     }
@@ -450,9 +369,7 @@ fn the_polynomial_is_symmetric_and_positive() {
             let masked = |random: &mut Random| -> Vec<f64> {
                 let mut x = noise(random, n, 1.0).into_flattened();
                 let prescribed = solids.prescribed.as_flattened();
-                x.iter_mut()
-                    .zip(prescribed)
-                    .for_each(|(x, &p)| *x = if p { 0.0 } else { *x });
+                x.iter_mut().zip(prescribed).for_each(|(x, &p)| *x = if p { 0.0 } else { *x });
                 x
             };
             for _ in 0..4 {
@@ -477,13 +394,8 @@ fn solves_end_where_there_is_nothing_to_solve_or_nothing_can_be() {
     let solver = SolidSolver::new(&solids);
     let settings = Solver::default();
     let system_of = |u: &[[f64; 3]], v: &[[f64; 3]]| system(&solids, u, v, 0.01);
-    let (v, report) = solver
-        .solve(&solids, &system_of(&zero, &zero), &settings)
-        .unwrap();
-    assert_eq!(
-        (v, report.residual, report.status),
-        (zero.clone(), 0.0, SolveStatus::Converged)
-    );
+    let (v, report) = solver.solve(&solids, &system_of(&zero, &zero), &settings).unwrap();
+    assert_eq!((v, report.residual, report.status), (zero.clone(), 0.0, SolveStatus::Converged));
 
     let mut bad = zero.clone();
     bad[n - 1][1] = f64::NAN;
@@ -498,27 +410,16 @@ fn solves_end_where_there_is_nothing_to_solve_or_nothing_can_be() {
     let moving = vec![[1.0, 2.0, 3.0]; held.rest.len()];
     let u = vec![[0.0; 3]; held.rest.len()];
     let solver = SolidSolver::new(&held);
-    let (v, report) = solver
-        .solve(&held, &system(&held, &u, &moving, 0.01), &settings)
-        .unwrap();
-    assert_eq!(
-        (v, report.unknowns, report.status),
-        (moving, 0, SolveStatus::Converged)
-    );
+    let (v, report) = solver.solve(&held, &system(&held, &u, &moving, 0.01), &settings).unwrap();
+    assert_eq!((v, report.unknowns, report.status), (moving, 0, SolveStatus::Converged));
 
     // Too few iterations are told.
-    let few = Solver {
-        max_iterations: 1,
-        ..settings
-    };
+    let few = Solver { max_iterations: 1, ..settings };
     let mut random = Random(2);
     let v = noise(&mut random, n, 1.0);
     let solver = SolidSolver::new(&solids);
     let (_, report) = solver.solve_iterative(&solids, &system_of(&zero, &v), &few);
-    assert_eq!(
-        (report.status, report.iterations),
-        (SolveStatus::IterationLimit, 1)
-    );
+    assert_eq!((report.status, report.iterations), (SolveStatus::IterationLimit, 1));
 }
 
 /// A turned, stretched and spinning block: sums in closed form.
@@ -534,28 +435,16 @@ fn diagnosis_of_a_spinning_block_is_that_of_a_rigid_body() {
     let arm = |x: DVec3| stretch * (turn * (x - middle));
     let u = displaced(&solids, |x| centre + arm(x));
     let velocity = |x: DVec3| drift + spin.cross(arm(x));
-    let v: Vec<[f64; 3]> = solids
-        .rest
-        .iter()
-        .map(|&x| velocity(x).to_array())
-        .collect();
+    let v: Vec<[f64; 3]> = solids.rest.iter().map(|&x| velocity(x).to_array()).collect();
     let gravity = DVec3::new(0.0, -10.0, 0.0);
     let deformations = matrices(&solids, &u).deformations;
     let found = diagnose_solid(&solids, &deformations, &u, &v, gravity);
     let mass = 125.0;
     // The lumped nodes' own moments of inertia.
-    let own: DVec3 = solids
-        .rest
-        .iter()
-        .zip(&solids.mass)
-        .map(|(&x, &m)| m * arm(x).cross(spin.cross(arm(x))))
-        .sum();
+    let own: DVec3 = solids.rest.iter().zip(&solids.mass).map(|(&x, &m)| m * arm(x).cross(spin.cross(arm(x)))).sum();
     let close = |a: [f64; 3], b: DVec3| DVec3::from(a).distance(b) <= 1e-11 * (1.0 + b.length());
     assert!(close(found.momentum, mass * drift));
-    assert!(close(
-        found.angular_momentum,
-        own + mass * centre.cross(drift)
-    ));
+    assert!(close(found.angular_momentum, own + mass * centre.cross(drift)));
     let kinetic = 0.5 * mass * drift.length_squared() + 0.5 * spin.dot(own);
     assert!((found.kinetic_energy - kinetic).abs() < 1e-10 * kinetic);
     assert!((found.potential_energy - mass * 10.0 * centre.y).abs() < 1e-9);

@@ -44,12 +44,7 @@ fn spots(text: &str) -> Vec<Spot> {
                 }
             }
         } else if line.contains('=') && !line.starts_with('#') {
-            let mut scanner = Scanner {
-                text,
-                at: start,
-                line: number + 1,
-                spots: &mut spots,
-            };
+            let mut scanner = Scanner { text, at: start, line: number + 1, spots: &mut spots };
             scanner.pair(&table);
         }
         start += line.len() + 1;
@@ -91,12 +86,7 @@ impl Scanner<'_> {
         self.skip(b" =");
         let path = join(table, &self.text[key.clone()]);
         let (spot, start) = (self.spots.len(), self.at);
-        self.spots.push(Spot {
-            line: self.line,
-            path: path.clone(),
-            key,
-            value: 0..0,
-        });
+        self.spots.push(Spot { line: self.line, path: path.clone(), key, value: 0..0 });
         self.value(&path);
         self.spots[spot].value = start..self.at;
     }
@@ -165,10 +155,7 @@ fn every_key_is_refused_in_its_line_and_by_its_name() {
                 let message = error.to_string();
                 let start = format!("{}:{}: {path}: ", file.display(), spot.line);
                 let line = changed.lines().nth(spot.line - 1).unwrap();
-                assert!(
-                    message.starts_with(&start),
-                    "{line}\n{message}\nnot {start}"
-                );
+                assert!(message.starts_with(&start), "{line}\n{message}\nnot {start}");
                 for part in parts.iter().chain(&["\n  cure: "]) {
                     assert!(message.contains(part), "{line}\n{message}\nhas no {part}");
                 }
@@ -178,50 +165,28 @@ fn every_key_is_refused_in_its_line_and_by_its_name() {
             let misspelt = format!("{key}q");
             let path = spot.path.strip_suffix(key).unwrap();
             let meant = format!("did you mean `{key}`? the keys here are ");
-            refuse(
-                &spot.key,
-                &misspelt,
-                &format!("{path}{misspelt}"),
-                &["unknown key", &meant],
-            );
+            refuse(&spot.key, &misspelt, &format!("{path}{misspelt}"), &["unknown key", &meant]);
             let is_boolean = ["true", "false"].contains(&value);
             let (wrong, told) = match is_boolean {
                 true => ("\"yes\"", "is the text \"yes\""),
                 false => ("true", "is true"),
             };
             refuse(&spot.value, wrong, &spot.path, &[told, "cure: write "]);
-            refuse(
-                &spot.value,
-                "1979-05-27",
-                &spot.path,
-                &["is a date", "cure: write "],
-            );
+            refuse(&spot.value, "1979-05-27", &spot.path, &["is a date", "cure: write "]);
             let is_number = |text: &str| text.parse::<f64>().is_ok();
             if is_number(value) {
                 refuse(&spot.value, "nan", &spot.path, &["NaN"]);
                 refuse(&spot.value, "[1]", &spot.path, &["a list of 1"]);
             }
-            let items = value
-                .strip_prefix('[')
-                .and_then(|value| value.strip_suffix(']'));
+            let items = value.strip_prefix('[').and_then(|value| value.strip_suffix(']'));
             let items: Vec<&str> = items.map_or(Vec::new(), |items| items.split(", ").collect());
             if items.len() > 1 && items.iter().all(|item| is_number(item)) {
                 let len = items.len();
                 let fewer = format!("[{}]", items[1..].join(", "));
                 let wanted = format!("a list of {len} numbers");
-                refuse(
-                    &spot.value,
-                    &fewer,
-                    &spot.path,
-                    &[&format!("is a list of {}", len - 1), &wanted],
-                );
+                refuse(&spot.value, &fewer, &spot.path, &[&format!("is a list of {}", len - 1), &wanted]);
                 let infinite = format!("[{}, -inf]", items[1..].join(", "));
-                refuse(
-                    &spot.value,
-                    &infinite,
-                    &format!("{}[{}]", spot.path, len - 1),
-                    &["-inf"],
-                );
+                refuse(&spot.value, &infinite, &format!("{}[{}]", spot.path, len - 1), &["-inf"]);
             }
         }
     }
@@ -234,24 +199,16 @@ const SIDES: [[usize; 3]; 4] = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]];
 
 fn obj(sides: &[[usize; 3]]) -> String {
     let corners = CORNERS.iter().map(|x| format!("v {x}\n"));
-    let sides = sides
-        .iter()
-        .map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+    let sides = sides.iter().map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
     corners.chain(sides).collect()
 }
 
 fn stl(sides: &[[usize; 3]]) -> String {
     let facet = |side: &[usize; 3]| {
-        let corners: String = side
-            .iter()
-            .map(|&corner| format!("vertex {}\n", CORNERS[corner]))
-            .collect();
+        let corners: String = side.iter().map(|&corner| format!("vertex {}\n", CORNERS[corner])).collect();
         format!("facet normal 0 0 0\nouter loop\n{corners}endloop\nendfacet\n")
     };
-    format!(
-        "solid t\n{}endsolid t\n",
-        sides.iter().map(facet).collect::<String>()
-    )
+    format!("solid t\n{}endsolid t\n", sides.iter().map(facet).collect::<String>())
 }
 
 fn ply(sides: &[[usize; 3]]) -> String {
@@ -323,12 +280,8 @@ fn prepare(file: &str, contents: &str) -> Result<(), Error> {
             let scene = Scene::parse(&folder.path().join("scene.toml"), &text, &[], 1.0).unwrap();
             sim::reference_path(&scene).map(|_| ())
         };
-        said(format!(
-            "{HEAD}[[liquid.region]]\nmesh = {{ file = \"{file}\" }}\n"
-        ))?;
-        said(solid(&format!(
-            "surface = {{ file = \"{file}\", cell_size = 0.5 }}"
-        )))?;
+        said(format!("{HEAD}[[liquid.region]]\nmesh = {{ file = \"{file}\" }}\n"))?;
+        said(solid(&format!("surface = {{ file = \"{file}\", cell_size = 0.5 }}")))?;
     }
     Ok(())
 }

@@ -57,11 +57,7 @@ fn a_page_holds_everything() {
     }
     fs::write(frames.join("not_shown.csv"), "a\n1\n").unwrap();
     let contents = report(dir).unwrap();
-    let expected = Contents {
-        folders: 3,
-        tables: 2,
-        pictures: 4,
-    };
+    let expected = Contents { folders: 3, tables: 2, pictures: 4 };
     assert_eq!(contents, expected);
     let page = fs::read_to_string(dir.join(PAGE)).unwrap();
     assert!(page.starts_with("<!DOCTYPE html>"));
@@ -78,13 +74,7 @@ fn a_page_holds_everything() {
     ] {
         assert!(page.contains(part), "{part}");
     }
-    for part in [
-        "<script>",
-        "not_shown",
-        "frame_1.png",
-        "http://cdn",
-        "src=\"/",
-    ] {
+    for part in ["<script>", "not_shown", "frame_1.png", "http://cdn", "src=\"/"] {
         assert!(!page.contains(part), "{part}");
     }
     assert_eq!(page.matches("data:image/png;base64,").count(), 3);
@@ -112,8 +102,7 @@ fn nothing_and_broken_files_are_refused() {
     let mut changed = whole.clone();
     // The last byte of its data, before two checksums and the end.
     changed[whole.len() - 21] ^= 1;
-    let drawing =
-        "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g fill=\"url(#p)\"></g></svg>";
+    let drawing = "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g fill=\"url(#p)\"></g></svg>";
     let files: [(&str, &[u8], &str); 13] = [
         ("steps.csv", b"", "it is empty"),
         ("blank.csv", b"\n\n", "it is empty"),
@@ -152,12 +141,7 @@ fn a_run_before_its_first_sub_step_has_no_columns() {
     let run = folder.path();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/dam_break_liquid.toml");
     let scene = Scene::load(&path, &[], 0.25).unwrap();
-    let options = RunOptions {
-        backend: "cpu".to_owned(),
-        frames: 1,
-        scale: 0.25,
-        overrides: Vec::new(),
-    };
+    let options = RunOptions { backend: "cpu".to_owned(), frames: 1, scale: 0.25, overrides: Vec::new() };
     let mut manifest = Manifest::new(&scene, options, None);
     manifest.write(run).unwrap();
     fs::write(run.join("steps.csv"), "").unwrap();

@@ -37,12 +37,7 @@ const ONLY: &[(&str, &[&str])] = &[
     // The GPU layer knows no physics.
     ("gpu", &["error"]),
     // A twin that shared code with what it judges would judge nothing.
-    (
-        "reference",
-        &[
-            "error", "grid", "scene", "state", "effects", "geometry", "elastic", "linalg", "step",
-        ],
-    ),
+    ("reference", &["error", "grid", "scene", "state", "effects", "geometry", "elastic", "linalg", "step"]),
 ];
 
 /// `(crate, the only room that names it)`.
@@ -85,10 +80,7 @@ fn files(folder: &str, extensions: &[&str]) -> Vec<PathBuf> {
             let path = entry.unwrap().path();
             if path.is_dir() {
                 folders.push(path);
-            } else if path
-                .extension()
-                .is_some_and(|end| extensions.iter().any(|known| end == *known))
-            {
+            } else if path.extension().is_some_and(|end| extensions.iter().any(|known| end == *known)) {
                 found.push(path);
             }
         }
@@ -101,10 +93,7 @@ fn files(folder: &str, extensions: &[&str]) -> Vec<PathBuf> {
 /// Path below the repository's root, with `/`.
 fn name(path: &Path) -> String {
     let parts = path.strip_prefix(root()).unwrap().components();
-    parts
-        .map(|part| part.as_os_str().to_str().unwrap())
-        .collect::<Vec<_>>()
-        .join("/")
+    parts.map(|part| part.as_os_str().to_str().unwrap()).collect::<Vec<_>>().join("/")
 }
 
 /// One source file below `src/`.
@@ -120,22 +109,10 @@ impl File {
         let read = |path: PathBuf| {
             let name = name(&path);
             let text = fs::read_to_string(&path).unwrap();
-            let tokens = text
-                .parse::<TokenStream>()
-                .unwrap_or_else(|error| panic!("{name}: {error}"));
-            let modules = name
-                .trim_start_matches("src/")
-                .trim_end_matches(".rs")
-                .split('/');
-            let modules = modules
-                .filter(|part| !["mod", "lib"].contains(part))
-                .map(str::to_owned)
-                .collect();
-            File {
-                name,
-                modules,
-                tokens: tokens.into_iter().collect(),
-            }
+            let tokens = text.parse::<TokenStream>().unwrap_or_else(|error| panic!("{name}: {error}"));
+            let modules = name.trim_start_matches("src/").trim_end_matches(".rs").split('/');
+            let modules = modules.filter(|part| !["mod", "lib"].contains(part)).map(str::to_owned).collect();
+            File { name, modules, tokens: tokens.into_iter().collect() }
         };
         files("src", &["rs"]).into_iter().map(read).collect()
     }
@@ -158,9 +135,7 @@ fn walk(tokens: &[TokenTree], depth: usize, see: &mut dyn FnMut(&[TokenTree], us
     for index in 0..tokens.len() {
         see(tokens, index, depth);
         if let TokenTree::Group(group) = &tokens[index] {
-            let module = index >= 2
-                && is_ident(&tokens[index - 2], "mod")
-                && group.delimiter() == Delimiter::Brace;
+            let module = index >= 2 && is_ident(&tokens[index - 2], "mod") && group.delimiter() == Delimiter::Brace;
             let inner: Vec<TokenTree> = group.stream().into_iter().collect();
             walk(&inner, depth + usize::from(module), see);
         }
@@ -207,19 +182,13 @@ fn root_names(file: &File) -> BTreeSet<String> {
             return;
         }
         let mut next = index;
-        if is_ident(&tokens[index], "crate")
-            || (file.room() == "cli" && is_ident(&tokens[index], "cutwater"))
-        {
+        if is_ident(&tokens[index], "crate") || (file.room() == "cli" && is_ident(&tokens[index], "cutwater")) {
             next += 1;
         } else {
             let mut up = 0;
             while ident(tokens.get(next)).is_some_and(|word| word == "super") {
                 up += 1;
-                next += if is_path_separator(tokens, next + 1) {
-                    3
-                } else {
-                    1
-                };
+                next += if is_path_separator(tokens, next + 1) { 3 } else { 1 };
             }
             if up == 0 || up < depth {
                 return;
@@ -250,25 +219,13 @@ fn rooms_use_each_other_downwards_only() {
     let mut seen: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     for file in File::all().iter().filter(|file| !file.room().is_empty()) {
         let room = file.room();
-        assert!(
-            tier(room).is_some(),
-            "{}: no such room; TIERS says where it belongs",
-            file.name
-        );
+        assert!(tier(room).is_some(), "{}: no such room; TIERS says where it belongs", file.name);
         for found in root_names(file) {
-            let used = ROOT_NAMES
-                .iter()
-                .find(|(name, _)| *name == found)
-                .map_or(found.as_str(), |(_, room)| room);
+            let used = ROOT_NAMES.iter().find(|(name, _)| *name == found).map_or(found.as_str(), |(_, room)| room);
             if tier(used).is_none() {
-                breaches.push(format!(
-                    "{}: crate::{found} is neither a room nor known to ROOT_NAMES",
-                    file.name
-                ));
+                breaches.push(format!("{}: crate::{found} is neither a room nor known to ROOT_NAMES", file.name));
             } else if used != room {
-                seen.entry(room.to_owned())
-                    .or_default()
-                    .insert(used.to_owned());
+                seen.entry(room.to_owned()).or_default().insert(used.to_owned());
                 if !may_use(room, used) {
                     breaches.push(format!("{}: {room} uses {used}", file.name));
                 }
@@ -277,16 +234,8 @@ fn rooms_use_each_other_downwards_only() {
     }
     assert!(breaches.is_empty(), "\n{}", breaches.join("\n"));
     // The reading itself works: these are how the program hangs together.
-    for (room, used) in [
-        ("solver", "gpu"),
-        ("reference", "linalg"),
-        ("geometry", "grid"),
-        ("stages", "gpu"),
-    ] {
-        assert!(
-            seen.get(room).is_some_and(|all| all.contains(used)),
-            "{room} was not seen to use {used}: {seen:?}"
-        );
+    for (room, used) in [("solver", "gpu"), ("reference", "linalg"), ("geometry", "grid"), ("stages", "gpu")] {
+        assert!(seen.get(room).is_some_and(|all| all.contains(used)), "{room} was not seen to use {used}: {seen:?}");
     }
 }
 
@@ -317,11 +266,7 @@ fn the_root_has_no_logic() {
     for file in File::all().iter().filter(|file| file.name == "src/lib.rs") {
         file.walk(&mut |tokens, index, _| {
             for word in ["fn", "struct", "enum", "impl", "const", "static"] {
-                assert!(
-                    !is_ident(&tokens[index], word),
-                    "{}: `{word}` belongs in a room",
-                    file.name
-                );
+                assert!(!is_ident(&tokens[index], word), "{}: `{word}` belongs in a room", file.name);
             }
         });
     }
@@ -367,10 +312,7 @@ fn stages_share_their_nouns() {
         if !shared.contains(&stem) {
             let part = parts.iter().find(|(part, _)| *part == stem);
             let stage = part.map_or(stem, |(_, stage)| stage);
-            assert!(
-                SCHEDULE.iter().any(|row| row.name == stage),
-                "the schedule has no stage {stage}"
-            );
+            assert!(SCHEDULE.iter().any(|row| row.name == stage), "the schedule has no stage {stage}");
             let test = tests.iter().find(|(stage, _)| *stage == stem);
             let test = test.map_or_else(|| format!("twin_{stem}"), |(_, test)| (*test).to_owned());
             let test = format!("tests/suite/{test}.rs");
@@ -384,26 +326,16 @@ fn every_shader_is_used() {
     let mut embedded = BTreeSet::new();
     for file in File::all() {
         file.walk(&mut |tokens, index, _| {
-            if let (true, true, Some(TokenTree::Group(group))) = (
-                is_ident(&tokens[index], "wgsl"),
-                is_punct(tokens.get(index + 1), '!'),
-                tokens.get(index + 2),
-            ) {
+            if let (true, true, Some(TokenTree::Group(group))) =
+                (is_ident(&tokens[index], "wgsl"), is_punct(tokens.get(index + 1), '!'), tokens.get(index + 2))
+            {
                 embedded.insert(group.stream().to_string().trim_matches('"').to_owned());
             }
         });
     }
     let shaders = files("shaders", &["wgsl"]);
-    let stem = |path: &Path| {
-        name(path)
-            .trim_start_matches("shaders/")
-            .trim_end_matches(".wgsl")
-            .to_owned()
-    };
-    let texts: Vec<String> = shaders
-        .iter()
-        .map(|path| fs::read_to_string(path).unwrap())
-        .collect();
+    let stem = |path: &Path| name(path).trim_start_matches("shaders/").trim_end_matches(".wgsl").to_owned();
+    let texts: Vec<String> = shaders.iter().map(|path| fs::read_to_string(path).unwrap()).collect();
     let imported: BTreeSet<&str> = texts
         .iter()
         .flat_map(|text| text.lines())
@@ -411,18 +343,12 @@ fn every_shader_is_used() {
         .map(str::trim)
         .collect();
     for shader in shaders.iter().map(|path| stem(path)) {
-        assert!(
-            embedded.contains(&shader),
-            "shaders/{shader}.wgsl: no wgsl!(\"{shader}\") in src"
-        );
+        assert!(embedded.contains(&shader), "shaders/{shader}.wgsl: no wgsl!(\"{shader}\") in src");
         if let Some(module) = shader.strip_prefix("common/") {
             // `real`, `inner` and `obstacles` stand for the file of the variant.
             let endings = ["_f32", "_f64", "_still", "_moving"].into_iter();
             let module = endings.fold(module, |module, end| module.trim_end_matches(end));
-            assert!(
-                imported.contains(module),
-                "shaders/{shader}.wgsl: nothing imports {module}"
-            );
+            assert!(imported.contains(module), "shaders/{shader}.wgsl: nothing imports {module}");
         }
     }
 }
@@ -457,9 +383,7 @@ fn the_library_neither_prints_nor_unwraps() {
                 "{}: .unwrap(): use expect with the invariant in words, or an Error",
                 file.name
             );
-            let printing = ["print", "println", "eprint", "eprintln"]
-                .iter()
-                .any(|word| is_ident(&tokens[index], word));
+            let printing = ["print", "println", "eprint", "eprintln"].iter().any(|word| is_ident(&tokens[index], word));
             assert!(
                 !printing || !is_punct(tokens.get(index + 1), '!'),
                 "{}: only the command line prints, with say! and warn!, which a closed pipe does not end",
@@ -480,16 +404,9 @@ fn files_are_written_whole() {
             let path = |of: &str, function: &str| {
                 is_ident(&tokens[index], of)
                     && is_path_separator(tokens, index + 1)
-                    && tokens
-                        .get(index + 3)
-                        .is_some_and(|token| is_ident(token, function))
+                    && tokens.get(index + 3).is_some_and(|token| is_ident(token, function))
             };
-            let in_place = [
-                ("fs", "write"),
-                ("File", "create"),
-                ("Writer", "from_path"),
-                ("SVGBackend", "new"),
-            ];
+            let in_place = [("fs", "write"), ("File", "create"), ("Writer", "from_path"), ("SVGBackend", "new")];
             assert!(
                 !in_place.iter().any(|(of, function)| path(of, function)),
                 "{}: use output::write_atomically",
@@ -502,27 +419,11 @@ fn files_are_written_whole() {
 #[test]
 fn nothing_is_left_over() {
     // Put together here, so that this file does not hold them.
-    let marks = [
-        "TO-DO",
-        "FIX-ME",
-        "#[ign-ore",
-        "XX-X",
-        "/ho-me/",
-        "/ro-ot/",
-        "/Us-ers/",
-        "/tm-p/",
-        "/wo-rk/",
-    ];
+    let marks = ["TO-DO", "FIX-ME", "#[ign-ore", "XX-X", "/ho-me/", "/ro-ot/", "/Us-ers/", "/tm-p/", "/wo-rk/"];
     let marks = marks.map(|mark| mark.replace('-', ""));
-    let mut all = [
-        "Cargo.toml",
-        "Makefile",
-        "README.md",
-        "ARCHITECTURE.md",
-        "CHANGELOG.md",
-    ]
-    .map(|file| root().join(file))
-    .to_vec();
+    let mut all = ["Cargo.toml", "Makefile", "README.md", "ARCHITECTURE.md", "CHANGELOG.md"]
+        .map(|file| root().join(file))
+        .to_vec();
     // Not in the published package.
     if let Ok(scripts) = fs::read_dir(root().join(".ci")) {
         let paths = scripts.map(|entry| entry.unwrap().path());
@@ -538,16 +439,10 @@ fn nothing_is_left_over() {
         all.extend(files(folder, extensions));
     }
     for path in all {
-        let text =
-            fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", name(&path)));
+        let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", name(&path)));
         for (number, line) in text.lines().enumerate() {
             for mark in &marks {
-                assert!(
-                    !line.contains(mark.as_str()),
-                    "{}:{}: {mark}: {line}",
-                    name(&path),
-                    number + 1
-                );
+                assert!(!line.contains(mark.as_str()), "{}:{}: {mark}: {line}", name(&path), number + 1);
             }
         }
     }

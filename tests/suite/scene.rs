@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use cutwater::Error;
 use cutwater::scene::{
-    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, ProbedNodes,
-    Scene, Shape, SolidMesh, Solver, Surface, Up,
+    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, ProbedNodes, Scene, Shape,
+    SolidMesh, Solver, Surface, Up,
 };
 use glam::DVec3;
 
@@ -103,37 +103,17 @@ fn a_scene_says_what_its_file_says() {
     assert_eq!(scene.n_frames(), 30);
 
     let liquid = scene.liquid.unwrap();
-    assert_eq!(
-        (liquid.density, liquid.marker_radius, liquid.seed),
-        (800.0, 1.0, 7)
-    );
-    assert_eq!(
-        (liquid.surface, liquid.volume_control),
-        (Surface::Markers, false)
-    );
-    let subtract: Vec<_> = liquid
-        .regions
-        .iter()
-        .map(|region| region.subtract)
-        .collect();
+    assert_eq!((liquid.density, liquid.marker_radius, liquid.seed), (800.0, 1.0, 7));
+    assert_eq!((liquid.surface, liquid.volume_control), (Surface::Markers, false));
+    let subtract: Vec<_> = liquid.regions.iter().map(|region| region.subtract).collect();
     assert_eq!(subtract, [false, true, false]);
     assert_eq!(liquid.regions[0].velocity, DVec3::X);
     assert_eq!(liquid.regions[1].velocity, DVec3::ZERO);
     assert!(matches!(liquid.regions[0].shape, Shape::Box { max, .. } if max == DVec3::splat(0.5)));
-    assert!(matches!(
-        liquid.regions[1].shape,
-        Shape::Sphere { radius: 0.1, .. }
-    ));
-    assert!(
-        matches!(liquid.regions[2].shape, Shape::HalfSpace { normal, .. } if normal == DVec3::Y)
-    );
+    assert!(matches!(liquid.regions[1].shape, Shape::Sphere { radius: 0.1, .. }));
+    assert!(matches!(liquid.regions[2].shape, Shape::HalfSpace { normal, .. } if normal == DVec3::Y));
 
-    let Placement {
-        translate,
-        rotate,
-        scale,
-        ..
-    } = scene.obstacles[0].placement;
+    let Placement { translate, rotate, scale, .. } = scene.obstacles[0].placement;
     assert_eq!((translate, scale), (DVec3::new(0.1, 0.0, 0.0), 0.5));
     assert!((rotate * DVec3::X - DVec3::Y).length() < 1e-15);
     assert!(!scene.obstacles[0].inside_out && scene.obstacles[1].inside_out);
@@ -143,29 +123,17 @@ fn a_scene_says_what_its_file_says() {
     );
     let middle = scene.obstacles[0].shape.centre().unwrap();
     assert_eq!(middle, DVec3::new(1.0, 0.25, 0.25));
-    let Shape::Mesh { file, .. } = &scene.obstacles[1].shape else {
-        panic!("the second obstacle is a mesh")
-    };
+    let Shape::Mesh { file, .. } = &scene.obstacles[1].shape else { panic!("the second obstacle is a mesh") };
     assert_eq!(file.parent(), scene.file.parent());
     assert_eq!(scene.obstacles[1].shape.centre(), None);
 
-    let columns: Vec<_> = scene
-        .probes
-        .iter()
-        .flat_map(|probe| probe.columns())
-        .collect();
+    let columns: Vec<_> = scene.probes.iter().flat_map(|probe| probe.columns()).collect();
     assert_eq!(columns, ["h1", "v1_x", "v1_y", "v1_z", "reach"]);
     assert!(matches!(
         scene.probes[0].kind,
         ProbeKind::Height { foot, up: Up { axis: 2, falling: false } } if foot == DVec3::new(0.5, 0.25, 0.0)
     ));
-    assert!(matches!(
-        scene.probes[2].kind,
-        ProbeKind::Front {
-            axis: 0,
-            lower: false
-        }
-    ));
+    assert!(matches!(scene.probes[2].kind, ProbeKind::Front { axis: 0, lower: false }));
     let solver = Solver {
         tolerance: 1e-6,
         max_iterations: 50,
@@ -179,10 +147,7 @@ fn a_scene_says_what_its_file_says() {
     assert!(!scene.output.particles && scene.output.fields);
     assert_eq!(scene.output.every, 2);
     let camera = scene.camera;
-    assert_eq!(
-        (camera.up, camera.fov, camera.size),
-        (DVec3::Y, 50.0, [640, 480])
-    );
+    assert_eq!((camera.up, camera.fov, camera.size), (DVec3::Y, 50.0, [640, 480]));
 }
 
 #[test]
@@ -195,29 +160,17 @@ fn what_a_scene_leaves_out_has_the_documented_default() {
     assert_eq!(scene.time.cfl, 3.0);
     assert_eq!(scene.time.fixed_step, None);
     let liquid = scene.liquid.unwrap();
-    assert_eq!(
-        (liquid.density, liquid.marker_radius, liquid.seed),
-        (1000.0, 0.87, 0)
-    );
+    assert_eq!((liquid.density, liquid.marker_radius, liquid.seed), (1000.0, 0.87, 0));
     assert!(liquid.volume_control && liquid.surface == Surface::Markers);
-    assert!(matches!(
-        liquid.regions[0].shape,
-        Shape::Wave { phase: 0.0, .. }
-    ));
+    assert!(matches!(liquid.regions[0].shape, Shape::Wave { phase: 0.0, .. }));
     assert!(scene.obstacles.is_empty() && scene.probes.is_empty());
     // Markers make a surface that is bumpy by a tenth of a cell.
-    let solver = Solver {
-        theta_floor: 0.15,
-        ..Solver::default()
-    };
+    let solver = Solver { theta_floor: 0.15, ..Solver::default() };
     assert_eq!(scene.solver, solver);
     assert!(scene.output.particles && !scene.output.fields && scene.output.every == 1);
 
     let fixed = load(text, &["liquid.surface=fixed"], 1.0).unwrap();
-    assert!(
-        !fixed.liquid.unwrap().volume_control,
-        "a fixed surface has no volume control"
-    );
+    assert!(!fixed.liquid.unwrap().volume_control, "a fixed surface has no volume control");
 }
 
 #[test]
@@ -231,13 +184,7 @@ fn single_precision_has_a_tolerance_that_it_reaches() {
 }
 
 /// Replace the first text by the second in a good scene; the error is at the line, at the key, and has the parts.
-type Case = (
-    &'static str,
-    &'static str,
-    usize,
-    &'static str,
-    &'static [&'static str],
-);
+type Case = (&'static str, &'static str, usize, &'static str, &'static [&'static str]);
 
 #[rustfmt::skip] // one case a line
 const REFUSED: &[Case] = &[
@@ -435,13 +382,8 @@ fn a_scene_without_liquid_and_solids_is_refused() {
         ("[liquid]\ndensity = 1\n", 6, "liquid.region"),
         ("[liquid]\nregion = []\n", 7, "liquid.region"),
     ] {
-        let error = load(&format!("{base}{rest}"), &[], 1.0)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            error.contains(&format!("good.toml:{line}: {key}: ")),
-            "{error}"
-        );
+        let error = load(&format!("{base}{rest}"), &[], 1.0).unwrap_err().to_string();
+        assert!(error.contains(&format!("good.toml:{line}: {key}: ")), "{error}");
         assert!(error.contains("[[liquid.region]]"), "{error}");
     }
     let error = load(base, &[], 1.0).unwrap_err().to_string();
@@ -524,9 +466,7 @@ solids = false
 fn solids_are_what_their_scene_says() {
     let scene = load(SOLIDS, &[], 1.0).unwrap();
     assert!(scene.liquid.is_none());
-    let [beam, ball, shell, dinosaur, stone] = &scene.solids[..] else {
-        panic!("{} solids", scene.solids.len())
-    };
+    let [beam, ball, shell, dinosaur, stone] = &scene.solids[..] else { panic!("{} solids", scene.solids.len()) };
     assert_eq!(beam.name, "beam");
     assert!(matches!(
         beam.mesh,
@@ -535,104 +475,44 @@ fn solids_are_what_their_scene_says() {
     assert!((beam.placement.rotate * DVec3::X - DVec3::Y).length() < 1e-15);
     assert_eq!(beam.placement.scale, 0.5);
     assert_eq!(beam.initial.scale, DVec3::new(1.0, 0.5, -1.0));
-    assert_eq!(
-        (beam.initial.velocity, beam.initial.spin),
-        (DVec3::Y, DVec3::new(0.0, 0.0, 3.0))
-    );
-    assert_eq!(
-        (beam.density, beam.young, beam.poisson),
-        (1200.0, 1e6, 0.49)
-    );
+    assert_eq!((beam.initial.velocity, beam.initial.spin), (DVec3::Y, DVec3::new(0.0, 0.0, 3.0)));
+    assert_eq!((beam.density, beam.young, beam.poisson), (1200.0, 1e6, 0.49));
     assert_eq!(beam.model, ElasticModel::Linear);
     assert_eq!((beam.mass_damping, beam.stiffness_damping), (0.5, 1e-3));
 
-    let [held, roller, script] = &beam.pins[..] else {
-        panic!("{} pins", beam.pins.len())
-    };
+    let [held, roller, script] = &beam.pins[..] else { panic!("{} pins", beam.pins.len()) };
     assert_eq!((held.components, held.keyframes.len()), ([true; 3], 0));
     assert_eq!(roller.components, [true, false, true]);
     assert!(matches!(roller.region, Shape::HalfSpace { .. }));
     assert_eq!(script.components, [false, true, false]);
     assert!(matches!(script.region, Shape::Sphere { radius: 0.1, .. }));
-    let [first, second] = script.keyframes[..] else {
-        panic!("{} keyframes", script.keyframes.len())
-    };
-    assert_eq!(
-        (first.time, first.translate, first.angle),
-        (0.0, DVec3::ZERO, 0.0)
-    );
-    assert_eq!(
-        (second.time, second.translate),
-        (0.5, DVec3::new(0.0, 0.1, 0.0))
-    );
+    let [first, second] = script.keyframes[..] else { panic!("{} keyframes", script.keyframes.len()) };
+    assert_eq!((first.time, first.translate, first.angle), (0.0, DVec3::ZERO, 0.0));
+    assert_eq!((second.time, second.translate), (0.5, DVec3::new(0.0, 0.1, 0.0)));
     assert_eq!(second.axis, DVec3::Y, "axes become unit vectors");
     assert!((second.angle - std::f64::consts::PI).abs() < 1e-15);
-    assert_eq!(
-        beam.loads[0].kind,
-        LoadKind::Force(DVec3::new(0.0, -10.0, 0.0))
-    );
-    assert_eq!(
-        beam.loads[1].kind,
-        LoadKind::Traction(DVec3::new(100.0, 0.0, 0.0))
-    );
+    assert_eq!(beam.loads[0].kind, LoadKind::Force(DVec3::new(0.0, -10.0, 0.0)));
+    assert_eq!(beam.loads[1].kind, LoadKind::Traction(DVec3::new(100.0, 0.0, 0.0)));
 
-    assert!(matches!(
-        ball.mesh,
-        SolidMesh::Sphere {
-            radius: 0.1,
-            cell_size: 0.05
-        }
-    ));
+    assert!(matches!(ball.mesh, SolidMesh::Sphere { radius: 0.1, cell_size: 0.05 }));
     assert_eq!(
-        (
-            ball.model,
-            ball.mass_damping,
-            ball.pins.len(),
-            ball.loads.len()
-        ),
+        (ball.model, ball.mass_damping, ball.pins.len(), ball.loads.len()),
         (ElasticModel::Corotational, 0.0, 0, 0)
     );
     assert_eq!(ball.initial.scale, DVec3::ONE);
-    assert!(matches!(
-        shell.mesh,
-        SolidMesh::Shell {
-            thickness: 0.02,
-            ..
-        }
-    ));
-    assert_eq!(
-        (shell.initial.scale, shell.poisson),
-        (DVec3::splat(0.5), -0.3)
-    );
-    let SolidMesh::File { file, .. } = &dinosaur.mesh else {
-        panic!("the dinosaur is a file")
-    };
+    assert!(matches!(shell.mesh, SolidMesh::Shell { thickness: 0.02, .. }));
+    assert_eq!((shell.initial.scale, shell.poisson), (DVec3::splat(0.5), -0.3));
+    let SolidMesh::File { file, .. } = &dinosaur.mesh else { panic!("the dinosaur is a file") };
     assert_eq!(file.parent(), scene.file.parent());
-    assert!(
-        matches!(&stone.mesh, SolidMesh::Surface { file, cell_size: 0.1, .. } if file.ends_with("body.stl"))
-    );
+    assert!(matches!(&stone.mesh, SolidMesh::Surface { file, cell_size: 0.1, .. } if file.ends_with("body.stl")));
 
     let columns: Vec<_> = scene.probes.iter().flat_map(Probe::columns).collect();
-    assert_eq!(
-        columns,
-        [
-            "tip_x",
-            "tip_y",
-            "tip_z",
-            "whole_x",
-            "whole_y",
-            "whole_z",
-            "whole_volume"
-        ]
-    );
+    assert_eq!(columns, ["tip_x", "tip_y", "tip_z", "whole_x", "whole_y", "whole_z", "whole_volume"]);
     assert!(matches!(
         scene.probes[0].kind,
         ProbeKind::Node { solid: 0, nodes: ProbedNodes::Nearest(point), velocity: false } if point == DVec3::new(1.0, 0.75, 0.5)
     ));
-    assert!(matches!(
-        scene.probes[1].kind,
-        ProbeKind::Solid { solid: 1 }
-    ));
+    assert!(matches!(scene.probes[1].kind, ProbeKind::Solid { solid: 1 }));
     assert!(!scene.output.solids && !scene.output.particles && !scene.output.fields);
     let scene = load(SOLIDS, &["output={}", "solid[1].young=2e5"], 1.0).unwrap();
     assert!(scene.output.solids);
@@ -810,16 +690,10 @@ fn bad_overrides_name_themselves() {
     ];
     for &(setting, parts) in cases {
         let error = load(GOOD, &[setting], 1.0).map(|_| ()).expect_err(setting);
-        assert!(
-            matches!(&error, Error::Input { what, .. } if *what == format!("--set {setting}")),
-            "{error}"
-        );
+        assert!(matches!(&error, Error::Input { what, .. } if *what == format!("--set {setting}")), "{error}");
         for part in parts {
             let message = error.to_string();
-            assert!(
-                message.contains(part),
-                "`{setting}`: no `{part}` in: {message}"
-            );
+            assert!(message.contains(part), "`{setting}`: no `{part}` in: {message}");
         }
     }
 }
@@ -834,17 +708,10 @@ fn scale_multiplies_the_cells_and_keeps_them_cubic() {
     let scene = load(GOOD, &[], 2.0).unwrap();
     assert_eq!((scene.scale, scene.grid().dx), (2.0, 0.03125));
 
-    for (scale, cure) in [
-        (0.3, "--scale 0.25"),
-        (1.1, "--scale 1.125"),
-        (0.01, "--scale 0.125"),
-    ] {
+    for (scale, cure) in [(0.3, "--scale 0.25"), (1.1, "--scale 1.125"), (0.01, "--scale 0.125")] {
         let error = cells(scale).unwrap_err();
         let message = error.to_string();
-        assert!(
-            matches!(&error, Error::Input { what, .. } if *what == format!("--scale {scale}")),
-            "{message}"
-        );
+        assert!(matches!(&error, Error::Input { what, .. } if *what == format!("--scale {scale}")), "{message}");
         assert!(message.ends_with(cure), "{message}");
         let works: f64 = cure.trim_start_matches("--scale ").parse().unwrap();
         cells(works).unwrap();
@@ -895,11 +762,8 @@ fn the_hash_changes_with_everything_the_scene_is_made_from() {
 
 #[test]
 fn the_default_camera_sees_the_whole_domain_upright() {
-    for (size, cells) in [
-        ("[2, 1, 1]", "[16, 8, 8]"),
-        ("[2, 1.25, 0.125]", "[16, 10, 1]"),
-        ("[1, 4, 1]", "[4, 16, 4]"),
-    ] {
+    for (size, cells) in [("[2, 1, 1]", "[16, 8, 8]"), ("[2, 1.25, 0.125]", "[16, 10, 1]"), ("[1, 4, 1]", "[4, 16, 4]")]
+    {
         for (gravity, up) in [
             ([0.0, -9.81, 0.0], DVec3::Y),
             ([1.0, 0.5, -9.0], DVec3::Z),
@@ -916,10 +780,7 @@ fn the_default_camera_sees_the_whole_domain_upright() {
                 let camera = scene.camera;
                 assert_eq!(camera.up, up);
                 let ahead = (camera.target - camera.eye).normalize();
-                assert!(
-                    ahead.dot(up) < -0.2 && ahead.dot(up) > -0.7,
-                    "from slightly above"
-                );
+                assert!(ahead.dot(up) < -0.2 && ahead.dot(up) > -0.7, "from slightly above");
                 let right = ahead.cross(up).normalize();
                 let top = right.cross(ahead);
                 let half = (0.5 * camera.fov.to_radians()).tan();
@@ -942,10 +803,7 @@ fn the_default_camera_sees_the_whole_domain_upright() {
 #[test]
 fn every_scene_in_the_folder_loads_at_every_usual_size() {
     let files = scenes();
-    let names: Vec<_> = files
-        .iter()
-        .map(|file| file.file_stem().unwrap().to_str().unwrap())
-        .collect();
+    let names: Vec<_> = files.iter().map(|file| file.file_stem().unwrap().to_str().unwrap()).collect();
     for name in [
         "bouncing_ball",
         "buoyancy_heavy",
@@ -986,11 +844,7 @@ fn every_scene_in_the_folder_loads_at_every_usual_size() {
     }
     for file in &files {
         let text = std::fs::read_to_string(file).unwrap();
-        assert!(
-            text.starts_with("# "),
-            "{}: begins with a comment",
-            file.display()
-        );
+        assert!(text.starts_with("# "), "{}: begins with a comment", file.display());
         for word in ["# Expect: ", "# Numbers: "] {
             assert!(text.contains(word), "{}: no `{word}`", file.display());
         }
@@ -1033,22 +887,13 @@ keyframes = [{ t = 1, eye = [3, 1, 3] }, { t = 2, eye = [0, 1, 4], fov = 20 }, {
     }
     let speed = |time: f64| (eye(time + 1e-6) - eye(time - 1e-6)) / 2e-6;
     let (before, after) = (speed(2.0 - 1e-5), speed(2.0 + 1e-5));
-    assert!(
-        before.distance(after) < 1e-3,
-        "a kink from {before} to {after}"
-    );
+    assert!(before.distance(after) < 1e-3, "a kink from {before} to {after}");
     // From the first to the last, in 2.5 s.
-    assert!(
-        before.distance(DVec3::new(-6.0, 1.0, 0.0) / 2.5) < 1e-3,
-        "{before}"
-    );
+    assert!(before.distance(DVec3::new(-6.0, 1.0, 0.0) / 2.5) < 1e-3, "{before}");
     assert_eq!(camera.pose(2.0).fov, 20.0);
     assert_eq!(camera.pose(2.0).target, DVec3::splat(0.5));
     assert!((20.0..=40.0).contains(&camera.pose(2.7).fov));
-    let two = text.replace(
-        ", { t = 3.5, eye = [-3, 2, 3], target = [0.5, 1, 0.5] }",
-        "",
-    );
+    let two = text.replace(", { t = 3.5, eye = [-3, 2, 3], target = [0.5, 1, 0.5] }", "");
     let camera = Scene::parse(path, &two, &[], 1.0).unwrap().camera;
     assert!(camera.pose(1.25).eye.distance(DVec3::new(2.25, 1.0, 3.25)) < 1e-12);
 }
@@ -1098,36 +943,22 @@ fn a_slab_keeps_its_cells_and_what_is_per_thickness() {
         let scene = load(SLAB, &[], scale).unwrap();
         assert_eq!(scene.domain.cells, cells);
         assert_eq!(scene.domain.size, DVec3::new(2.0, 1.0, thickness));
-        let Some(liquid) = &scene.liquid else {
-            panic!()
-        };
-        let Shape::Box { max, .. } = liquid.regions[0].shape else {
-            panic!()
-        };
+        let Some(liquid) = &scene.liquid else { panic!() };
+        let Shape::Box { max, .. } = liquid.regions[0].shape else { panic!() };
         assert_eq!(max, DVec3::new(1.0, 0.5, thickness));
-        let Shape::Cylinder { height, .. } = liquid.regions[1].shape else {
-            panic!()
-        };
+        let Shape::Cylinder { height, .. } = liquid.regions[1].shape else { panic!() };
         assert_eq!(height, thickness);
         // 0.4 m^3/s per metre through 0.2 m of height are 2 m/s.
         assert!((scene.sources[0].velocity - DVec3::new(2.0, 0.0, 0.0)).length() < 1e-12);
         assert!((scene.sources[0].flow_rate.unwrap() - 0.4 * thickness).abs() < 1e-12);
-        let LoadKind::Force(force) = scene.solids[0].loads[0].kind else {
-            panic!()
-        };
+        let LoadKind::Force(force) = scene.solids[0].loads[0].kind else { panic!() };
         assert_eq!(force, DVec3::new(8.0 * thickness, 0.0, 0.0));
-        let ProbeKind::Pressure { point } = scene.probes[0].kind else {
-            panic!()
-        };
+        let ProbeKind::Pressure { point } = scene.probes[0].kind else { panic!() };
         assert_eq!(point.z, 0.5 * thickness);
         // The mesh fills the slab; its nodes are on rollers, those of the foot are clamped.
         let meshes = cutwater::geometry::solid_meshes(&scene).unwrap();
-        let (low, high) = meshes[0]
-            .nodes
-            .iter()
-            .fold((1.0_f64, 0.0_f64), |(low, high), x| {
-                (low.min(x.z), high.max(x.z))
-            });
+        let (low, high) =
+            meshes[0].nodes.iter().fold((1.0_f64, 0.0_f64), |(low, high), x| (low.min(x.z), high.max(x.z)));
         assert_eq!([low, high], [0.0, thickness]);
         let solids = cutwater::elastic::Solids::new(&scene, &meshes).unwrap();
         for (node, prescribed) in solids.rest.iter().zip(&solids.prescribed) {
@@ -1144,51 +975,24 @@ fn a_slab_keeps_its_cells_and_what_is_per_thickness() {
 fn what_varies_across_a_slab_is_refused() {
     for (set, expected) in [
         ("domain.cells=[32, 16, 3]", "domain.slab: is 3 cells thick"),
-        (
-            "domain.gravity=[0, -9, 1]",
-            "domain.gravity: gravity varies along z",
-        ),
-        (
-            "domain.open=[\"+z\"]",
-            "domain.open: opens a wall of the slab",
-        ),
-        (
-            "liquid.region[0].velocity=[0, 0, 1]",
-            "liquid.region[0]: its velocity varies along z",
-        ),
-        (
-            "liquid.region[1].cylinder.axis=[0, 1, 1]",
-            "liquid.region[1]: the cylinder varies along z",
-        ),
-        (
-            "obstacle[0].placement.rotate.axis=[1, 0, 0]",
-            "obstacle[0]: its placement turns it out of the plane",
-        ),
+        ("domain.gravity=[0, -9, 1]", "domain.gravity: gravity varies along z"),
+        ("domain.open=[\"+z\"]", "domain.open: opens a wall of the slab"),
+        ("liquid.region[0].velocity=[0, 0, 1]", "liquid.region[0]: its velocity varies along z"),
+        ("liquid.region[1].cylinder.axis=[0, 1, 1]", "liquid.region[1]: the cylinder varies along z"),
+        ("obstacle[0].placement.rotate.axis=[1, 0, 0]", "obstacle[0]: its placement turns it out of the plane"),
         (
             "obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0, 0, 1] }]",
             "obstacle[0]: its keyframes move it out of the plane",
         ),
-        (
-            "solid[0].mesh={ sphere = { radius = 0.2, cell_size = 0.1 } }",
-            "solid[0]: a ball varies along z",
-        ),
-        (
-            "solid[0].mesh.box.size=[0.2, 0.5, 0.9]",
-            "solid[0]: leaves a gap to the walls of the slab",
-        ),
+        ("solid[0].mesh={ sphere = { radius = 0.2, cell_size = 0.1 } }", "solid[0]: a ball varies along z"),
+        ("solid[0].mesh.box.size=[0.2, 0.5, 0.9]", "solid[0]: leaves a gap to the walls of the slab"),
         (
             "solid[0].pin[0].region={ sphere = { centre = [1.3, 0, 0.5], radius = 0.3 } }",
             "solid[0]: a sphere varies along z",
         ),
-        (
-            "probe[0]={ name = \"p\", front = { axis = \"z\" } }",
-            "probe[0]: its front varies along z",
-        ),
+        ("probe[0]={ name = \"p\", front = { axis = \"z\" } }", "probe[0]: its front varies along z"),
     ] {
         let message = load(SLAB, &[set], 1.0).unwrap_err().to_string();
-        assert!(
-            message.contains(expected) && message.contains("cure: "),
-            "{set}: {message}"
-        );
+        assert!(message.contains(expected) && message.contains("cure: "), "{set}: {message}");
     }
 }

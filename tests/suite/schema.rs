@@ -26,12 +26,7 @@ fn validate(schema: &Value, scenes: &[Value]) -> Option<Vec<Vec<String>>> {
         .spawn()
         .unwrap();
     let given = json!({ "schema": schema, "instances": scenes });
-    child
-        .stdin
-        .take()
-        .unwrap()
-        .write_all(given.to_string().as_bytes())
-        .unwrap();
+    child.stdin.take().unwrap().write_all(given.to_string().as_bytes()).unwrap();
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success());
     let verdicts: Vec<Vec<String>> = serde_json::from_slice(&output.stdout).unwrap();
@@ -74,18 +69,10 @@ fn keys(schema: &Value) -> Vec<Key> {
     for (exemplar, text) in EXEMPLARS.iter().enumerate() {
         walk(&json_of(text), schema, "", &mut |pointer, schema| {
             let plain = |pointer: &str| {
-                pointer
-                    .split('/')
-                    .filter(|part| part.parse::<usize>().is_err())
-                    .collect::<Vec<_>>()
-                    .join("/")
+                pointer.split('/').filter(|part| part.parse::<usize>().is_err()).collect::<Vec<_>>().join("/")
             };
             if keys.iter().all(|key| plain(&key.pointer) != plain(pointer)) {
-                keys.push(Key {
-                    exemplar,
-                    pointer: pointer.to_owned(),
-                    schema: schema.clone(),
-                });
+                keys.push(Key { exemplar, pointer: pointer.to_owned(), schema: schema.clone() });
             }
         });
     }
@@ -131,24 +118,14 @@ fn every_key_has_a_type_and_words() {
     let mut n = 0;
     properties(&schema, "", &mut |path, property| {
         n += 1;
-        let typed = ["type", "anyOf"]
-            .iter()
-            .any(|word| property.get(word).is_some());
-        assert!(
-            typed,
-            "no exemplar in src/scene/exemplars shows {path}, so nobody asked what it is"
-        );
+        let typed = ["type", "anyOf"].iter().any(|word| property.get(word).is_some());
+        assert!(typed, "no exemplar in src/scene/exemplars shows {path}, so nobody asked what it is");
         // Tables and lists of them speak through their keys, words for themselves.
         let keys = [property, &property["items"]];
         let table = keys.iter().any(|of| of.get("properties").is_some());
         let speaks = table || property.get("enum").is_some();
-        let described = property["description"]
-            .as_str()
-            .is_some_and(|words| !words.is_empty());
-        assert!(
-            speaks || described,
-            "{path} is described neither by docs/scene.md nor by what the reader calls it"
-        );
+        let described = property["description"].as_str().is_some_and(|words| !words.is_empty());
+        assert!(speaks || described, "{path} is described neither by docs/scene.md nor by what the reader calls it");
     });
     assert!(n > 150, "{n} keys");
     // One of each kind, as it should come out.
@@ -157,47 +134,20 @@ fn every_key_has_a_type_and_words() {
     assert_eq!(at("/properties/domain/required"), json!(["cells", "size"]));
     let gravity = at("/properties/domain/properties/gravity");
     assert_eq!(gravity["default"], json!([0, -9.81, 0]));
-    assert_eq!(
-        (&gravity["minItems"], &gravity["items"]["type"]),
-        (&json!(3), &json!("number"))
-    );
+    assert_eq!((&gravity["minItems"], &gravity["items"]["type"]), (&json!(3), &json!("number")));
     let density = at("/properties/liquid/properties/density");
     assert_eq!(density["description"], "kg/m^3; 1e-6 to 1e6; default: 1000");
-    assert_eq!(
-        (&density["minimum"], &density["maximum"]),
-        (&json!(1e-6), &json!(1e6))
-    );
+    assert_eq!((&density["minimum"], &density["maximum"]), (&json!(1e-6), &json!(1e6)));
     let poisson = at("/properties/solid/items/properties/poisson");
-    assert_eq!(
-        (&poisson["exclusiveMinimum"], &poisson["exclusiveMaximum"]),
-        (&json!(-1.0), &json!(0.5))
-    );
-    assert_eq!(
-        at("/properties/liquid/properties/surface/enum"),
-        json!(["markers", "level", "fixed"])
-    );
-    assert_eq!(
-        at("/properties/liquid/properties/separation/enum"),
-        json!(["none", "walls", "from_air"])
-    );
+    assert_eq!((&poisson["exclusiveMinimum"], &poisson["exclusiveMaximum"]), (&json!(-1.0), &json!(0.5)));
+    assert_eq!(at("/properties/liquid/properties/surface/enum"), json!(["markers", "level", "fixed"]));
+    assert_eq!(at("/properties/liquid/properties/separation/enum"), json!(["none", "walls", "from_air"]));
     assert_eq!(at("/properties/output/properties/every/minimum"), json!(1));
-    assert_eq!(
-        at("/properties/solid/items/required"),
-        json!(["density", "mesh", "name", "poisson", "young"])
-    );
+    assert_eq!(at("/properties/solid/items/required"), json!(["density", "mesh", "name", "poisson", "young"]));
     let shapes = at("/properties/obstacle/items/oneOf");
-    assert!(
-        shapes
-            .as_array()
-            .unwrap()
-            .contains(&json!({ "required": ["mesh"] })),
-        "{shapes}"
-    );
+    assert!(shapes.as_array().unwrap().contains(&json!({ "required": ["mesh"] })), "{shapes}");
     let solid = at("/properties/probe/items/properties/node/properties/solid");
-    assert!(
-        solid.get("enum").is_none(),
-        "names are the scene's own: {solid}"
-    );
+    assert!(solid.get("enum").is_none(), "names are the scene's own: {solid}");
 }
 
 #[test]
@@ -234,17 +184,9 @@ fn agree(schema: &Value, cases: &[Case]) -> usize {
     let reads: Vec<_> = scenes.iter().map(|scene| read(&folder, scene)).collect();
     for (case, reads) in cases.iter().zip(&reads) {
         let told = reads.as_ref().err();
-        assert!(
-            told.is_some() || !case.both,
-            "{}: the reader accepts",
-            case.what
-        );
+        assert!(told.is_some() || !case.both, "{}: the reader accepts", case.what);
         if let Some(message) = told {
-            assert!(
-                message.contains("cure: ") && message.contains("scene.toml:"),
-                "{}: {message}",
-                case.what
-            );
+            assert!(message.contains("cure: ") && message.contains("scene.toml:"), "{}: {message}", case.what);
         }
     }
     let Some(verdicts) = validate(schema, &scenes) else {
@@ -252,11 +194,7 @@ fn agree(schema: &Value, cases: &[Case]) -> usize {
     };
     for ((case, reads), errors) in cases.iter().zip(&reads).zip(&verdicts) {
         let valid = errors.is_empty();
-        assert!(
-            valid || reads.is_err(),
-            "{}: only the schema refuses: {errors:?}",
-            case.what
-        );
+        assert!(valid || reads.is_err(), "{}: only the schema refuses: {errors:?}", case.what);
         assert!(!valid || !case.both, "{}: the schema accepts", case.what);
     }
     verdicts.iter().filter(|errors| !errors.is_empty()).count()
@@ -304,11 +242,7 @@ fn schema_and_reader_refuse_the_same_types() {
                 Value::Null => value.is_number() || value.is_array(),
                 kind => *kind == kind_of(value) || *kind == "integer" && value.is_number(),
             };
-            cases.push(Case {
-                what: format!("{} = {value}", key.pointer),
-                scene,
-                both: !of_type,
-            });
+            cases.push(Case { what: format!("{} = {value}", key.pointer), scene, both: !of_type });
         }
     }
     assert!(cases.len() > 1500, "{}", cases.len());
@@ -322,10 +256,7 @@ fn schema_and_reader_refuse_the_same_numbers() {
     let schema = schema().unwrap();
     let mut cases = Vec::new();
     for key in keys(&schema) {
-        let list = key
-            .schema
-            .get("items")
-            .filter(|items| items["type"] == "integer");
+        let list = key.schema.get("items").filter(|items| items["type"] == "integer");
         let range = list.unwrap_or(&key.schema);
         let whole = range["type"] == "integer";
         let beyond = |end: f64, sign: f64| match whole {
@@ -334,10 +265,7 @@ fn schema_and_reader_refuse_the_same_numbers() {
         };
         let ends = [
             range["minimum"].as_f64().map(|end| beyond(end, -1.0)),
-            range["maximum"]
-                .as_f64()
-                .filter(|end| *end < 1e15)
-                .map(|end| beyond(end, 1.0)),
+            range["maximum"].as_f64().filter(|end| *end < 1e15).map(|end| beyond(end, 1.0)),
             range.get("exclusiveMinimum").cloned(),
             range.get("exclusiveMaximum").cloned(),
         ];
@@ -348,11 +276,7 @@ fn schema_and_reader_refuse_the_same_numbers() {
                 Some(items) => items[0] = value.clone(),
                 None => *place = value.clone(),
             }
-            cases.push(Case {
-                what: format!("{} = {value}", key.pointer),
-                scene,
-                both: true,
-            });
+            cases.push(Case { what: format!("{} = {value}", key.pointer), scene, both: true });
         }
     }
     assert!(cases.len() > 50, "{}", cases.len());
@@ -381,24 +305,12 @@ fn schema_and_reader_want_the_same_keys() {
         for (pointer, schema) in tables {
             let mut with = scene.clone();
             with.pointer_mut(&pointer).unwrap()["zzz"] = json!(1);
-            cases.push(Case {
-                what: format!("{number}{pointer} with a key that it has not"),
-                scene: with,
-                both: true,
-            });
+            cases.push(Case { what: format!("{number}{pointer} with a key that it has not"), scene: with, both: true });
             for name in schema["required"].as_array().into_iter().flatten() {
                 let mut without = scene.clone();
-                let table = without
-                    .pointer_mut(&pointer)
-                    .unwrap()
-                    .as_object_mut()
-                    .unwrap();
+                let table = without.pointer_mut(&pointer).unwrap().as_object_mut().unwrap();
                 table.remove(name.as_str().unwrap()).unwrap();
-                cases.push(Case {
-                    what: format!("{number}{pointer} without {name}"),
-                    scene: without,
-                    both: true,
-                });
+                cases.push(Case { what: format!("{number}{pointer} without {name}"), scene: without, both: true });
             }
         }
     }

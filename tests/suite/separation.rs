@@ -4,8 +4,8 @@ use cutwater::geometry::{CutCells, ObstacleCut};
 use cutwater::grid::{Axis, Grid};
 use cutwater::output::tables::{StepRow, StepTable};
 use cutwater::reference::{
-    Candidates, PressureSystem, Reference, RightHandSide, Separation, StepSystem, active_cells,
-    extrapolate_one_sided, opening, touching_cells,
+    Candidates, PressureSystem, Reference, RightHandSide, Separation, StepSystem, active_cells, extrapolate_one_sided,
+    opening, touching_cells,
 };
 use cutwater::scene::{Scene, Solver};
 use cutwater::sim::{Backend, Simulation, reference_path};
@@ -146,10 +146,8 @@ fn a_full_box_pulled_down_stays_full() {
         let report = simulation.step().unwrap();
         assert_eq!(separation(&report).cells, 0);
         let state = simulation.state().unwrap();
-        let (least, most) = (state.pressure.iter())
-            .fold((f64::MAX, 0.0_f64), |(least, most), &p| {
-                (least.min(p), most.max(p))
-            });
+        let (least, most) =
+            (state.pressure.iter()).fold((f64::MAX, 0.0_f64), |(least, most), &p| (least.min(p), most.max(p)));
         assert_eq!(least, 0.0);
         // The weight of 15 cells between the centres of the lowest and the highest one.
         let weight = 1000.0 * GRAVITY * 15.0 / 16.0;
@@ -198,9 +196,7 @@ fn pools_at_rest_stay_at_the_walls() {
         let ([x0, x1], [y0, y1]) = (x, y);
         format!("[[obstacle]]\nbox = {{ min = [{x0}, {y0}, -1], max = [{x1}, {y1}, 1] }}\n")
     };
-    let cup = part([0.3, 0.36], [0.2, 0.42])
-        + &part([0.64, 0.7], [0.2, 0.42])
-        + &part([0.3, 0.7], [0.34, 0.42]);
+    let cup = part([0.3, 0.36], [0.2, 0.42]) + &part([0.64, 0.7], [0.2, 0.42]) + &part([0.3, 0.7], [0.34, 0.42]);
     for (name, obstacles) in [
         ("flat", String::new()),
         ("tilted block", tilted([0.5, 0.25], [0.2, 0.1], 17.0)),
@@ -213,10 +209,7 @@ fn pools_at_rest_stay_at_the_walls() {
         for step in 0..100 {
             let report = separation(&simulation.step().unwrap());
             assert_eq!((report.cells, report.rounds), (0, 1), "{name}, step {step}");
-            assert!(
-                report.least_pressure > 0.0,
-                "{name}, step {step}: {report:?}"
-            );
+            assert!(report.least_pressure > 0.0, "{name}, step {step}: {report:?}");
         }
     }
 }
@@ -261,17 +254,9 @@ pub(crate) fn speed(state: &State) -> f64 {
 /// 0 <= p, 0 <= w, p w = 0 beside walls and bodies, w = 0 elsewhere, with w from the faces and nodes after a sub-step. Returns
 /// the separated cells.
 pub(crate) fn assert_complementary(solved: &Solved) -> usize {
-    let Solved {
-        state,
-        cut,
-        touching,
-        ..
-    } = solved;
+    let Solved { state, cut, touching, .. } = solved;
     let (grid, tolerance) = (solved.scene.grid(), solved.scene.solver.tolerance);
-    let largest = state
-        .pressure
-        .iter()
-        .fold(0.0, |max: f64, p| max.max(p.abs()));
+    let largest = state.pressure.iter().fold(0.0, |max: f64, p| max.max(p.abs()));
     // |E u*| and |J v| of a cell: six faces, and as much area of bodies, at the largest speed. The residual of all cells is at
     // most the tolerance times the root of their number times that. Twelve fluxes are rounded.
     let speed = solved.speed_before.max(speed(state)) + GRAVITY * state.dt_last;
@@ -281,28 +266,16 @@ pub(crate) fn assert_complementary(solved: &Solved) -> usize {
     let mut n_separated = 0;
     for cell in (0..grid.n_cells()).filter(|&cell| state.active[cell]) {
         let flux = solved.flux.get(cell).copied().unwrap_or_default();
-        let (p, w) = (
-            state.pressure[cell],
-            outflow(&grid, cut, state, cell) + flux,
-        );
+        let (p, w) = (state.pressure[cell], outflow(&grid, cut, state, cell) + flux);
         if state.separated[cell] {
             assert!(touching[cell] && p == 0.0, "cell {cell}: {p} Pa");
             let bound = 2.0 * tolerance * scale + rounding;
-            assert!(
-                w >= -bound,
-                "cell {cell} closes by {w} m^3/s, allowed {bound}"
-            );
+            assert!(w >= -bound, "cell {cell} closes by {w} m^3/s, allowed {bound}");
             n_separated += 1;
         } else {
             let bound = tolerance * n_active.sqrt() * scale + rounding;
-            assert!(
-                w.abs() <= bound,
-                "cell {cell} opens by {w} m^3/s, allowed {bound}"
-            );
-            assert!(
-                !touching[cell] || p >= -2e-6 * largest,
-                "cell {cell}: {p} Pa"
-            );
+            assert!(w.abs() <= bound, "cell {cell} opens by {w} m^3/s, allowed {bound}");
+            assert!(!touching[cell] || p >= -2e-6 * largest, "cell {cell}: {p} Pa");
         }
     }
     n_separated
@@ -317,11 +290,7 @@ fn complementary_step(reference: &mut Reference) -> usize {
     });
     separation(&report.unwrap());
     assert_eq!(solved, 1);
-    let (state, cut, grid) = (
-        reference.state(),
-        reference.cut_cells(),
-        reference.scene().grid(),
-    );
+    let (state, cut, grid) = (reference.state(), reference.cut_cells(), reference.scene().grid());
     let mut flux = Vec::new();
     if let Some(clip) = reference.clip() {
         flux = vec![0.0; grid.n_cells()];
@@ -386,39 +355,26 @@ fn a_run_resumes_with_its_separated_cells() {
 /// The active set against projected Gauss-Seidel iterations, on random liquid in a box.
 #[test]
 fn the_active_set_solves_the_complementarity_problem() {
-    let grid = Grid {
-        cells: [7, 6, 5],
-        dx: 0.1,
-    };
+    let grid = Grid { cells: [7, 6, 5], dx: 0.1 };
     let open = ObstacleCut::none(&grid).cut.open;
     let touching = touching_cells(&grid, &open, None);
     let mut random = Random(7);
     for case in 0..20 {
         // Air above, and holes.
         let phi: Vec<f64> = (0..grid.n_cells())
-            .map(
-                |cell| match grid.cell_at(cell)[1] == 5 || random.uniform(0.0, 1.0) < 0.1 {
-                    true => 0.02 + 0.08 * random.uniform(0.0, 1.0),
-                    false => -0.02 - 0.08 * random.uniform(0.0, 1.0),
-                },
-            )
+            .map(|cell| match grid.cell_at(cell)[1] == 5 || random.uniform(0.0, 1.0) < 0.1 {
+                true => 0.02 + 0.08 * random.uniform(0.0, 1.0),
+                false => -0.02 - 0.08 * random.uniform(0.0, 1.0),
+            })
             .collect();
         let active = active_cells(&grid, &open, &phi, 0.15);
         let values = (0..grid.n_cells()).map(|cell| match active.stencil.active(cell) {
             true => random.uniform(0.0, 1.0) - 0.6,
             false => 0.0,
         });
-        let rhs = RightHandSide {
-            values: values.collect(),
-            scale: 1.0,
-        };
+        let rhs = RightHandSide { values: values.collect(), scale: 1.0 };
         let system = PressureSystem::new(active, rhs, 0.01, 1000.0);
-        let candidates = Candidates {
-            touching: &touching,
-            from_air: None,
-            before: &[],
-            pressure: &[],
-        };
+        let candidates = Candidates { touching: &touching, from_air: None, before: &[], pressure: &[] };
         let mut separation = Separation::new(&system, candidates, &[]);
         let (pressure, report) = separation.solve(&system, &Solver::default()).unwrap();
         let report = separation.flagged(report);
@@ -439,53 +395,32 @@ fn the_active_set_solves_the_complementarity_problem() {
         let largest = exact.iter().fold(0.0, |max: f64, p| max.max(p.abs()));
         for (cell, (p, exact)) in pressure.iter().zip(&exact).enumerate() {
             // The set may leave pressures of a millionth of the largest one below 0.
-            assert!(
-                (p - exact).abs() <= 1e-5 * largest,
-                "case {case}, cell {cell}: {p}, {exact}"
-            );
+            assert!((p - exact).abs() <= 1e-5 * largest, "case {case}, cell {cell}: {p}, {exact}");
         }
         let w = opening(&system, &pressure, &[]);
         let separated = separation.cells().iter().filter(|cell| **cell).count();
         let opened = separation.report(1.0).opened;
         assert!(separated > 0 && opened > 0.0, "case {case}");
-        assert!(
-            (w.iter().sum::<f64>() - opened).abs() < 1e-6 * opened,
-            "case {case}"
-        );
+        assert!((w.iter().sum::<f64>() - opened).abs() < 1e-6 * opened, "case {case}");
     }
 }
 
 #[test]
 fn closed_faces_keep_velocities_away_from_walls_that_liquid_leaves() {
-    let grid = Grid {
-        cells: [4, 4, 4],
-        dx: 0.25,
-    };
+    let grid = Grid { cells: [4, 4, 4], dx: 0.25 };
     let cut = ObstacleCut::none(&grid).cut;
     let [top, bottom] = [[1, 4, 1], [1, 0, 1]].map(|at| grid.face(Axis::Y, at));
-    for (velocity, hold, expected) in [
-        (-1.0, false, [-1.0, 0.0]),
-        (1.0, false, [0.0, 1.0]),
-        (-1.0, true, [0.0, 0.0]),
-        (1.0, true, [0.0, 0.0]),
-    ] {
-        let valid = cut
-            .open
-            .clone()
-            .map(|open| open.iter().map(|&open| open > 0.0).collect());
+    for (velocity, hold, expected) in
+        [(-1.0, false, [-1.0, 0.0]), (1.0, false, [0.0, 1.0]), (-1.0, true, [0.0, 0.0]), (1.0, true, [0.0, 0.0])]
+    {
+        let valid = cut.open.clone().map(|open| open.iter().map(|&open| open > 0.0).collect());
         let mut faces = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
         let inner = faces[1].iter_mut().zip(&cut.open[1]);
-        inner
-            .filter(|(_, open)| **open > 0.0)
-            .for_each(|(u, _)| *u = velocity);
+        inner.filter(|(_, open)| **open > 0.0).for_each(|(u, _)| *u = velocity);
         let held = vec![hold; grid.n_cells()];
         let walls = (None, Some(&*held));
         extrapolate_one_sided(&grid, &cut, walls, valid, (3, 0.0), &mut faces);
-        assert_eq!(
-            [faces[1][top], faces[1][bottom]],
-            expected,
-            "{velocity} {hold}"
-        );
+        assert_eq!([faces[1][top], faces[1][bottom]], expected, "{velocity} {hold}");
     }
 }
 
@@ -495,38 +430,18 @@ fn steps_have_columns_of_separation() {
     let report = simulation.step().unwrap();
     let run = tempfile::tempdir().unwrap();
     let mut table = StepTable::create(run.path()).unwrap();
-    let row = StepRow {
-        step: 0,
-        time: report.dt,
-        report: &report,
-        volume_ratio: simulation.volume_ratio(&report),
-    };
+    let row = StepRow { step: 0, time: report.dt, report: &report, volume_ratio: simulation.volume_ratio(&report) };
     table.push(&row).unwrap();
     table.flush().unwrap();
     let mut reader = csv::Reader::from_path(run.path().join("steps.csv")).unwrap();
     let head = reader.headers().unwrap().clone();
     let row = reader.records().next().unwrap().unwrap();
-    let first = head
-        .iter()
-        .position(|name| name == "separated_cells")
-        .unwrap();
-    let names = [
-        "separated_cells",
-        "returned_cells",
-        "separation_rounds",
-        "least_pressure",
-        "opened_volume",
-    ];
+    let first = head.iter().position(|name| name == "separated_cells").unwrap();
+    let names = ["separated_cells", "returned_cells", "separation_rounds", "least_pressure", "opened_volume"];
     assert!(head.iter().skip(first).take(5).eq(names));
-    let written: Vec<f64> = (first..first + 5)
-        .map(|at| row[at].parse().unwrap())
-        .collect();
+    let written: Vec<f64> = (first..first + 5).map(|at| row[at].parse().unwrap()).collect();
     let separation = separation(&report);
-    let counts = [
-        separation.cells as f64,
-        separation.returned as f64,
-        f64::from(separation.rounds),
-    ];
+    let counts = [separation.cells as f64, separation.returned as f64, f64::from(separation.rounds)];
     assert_eq!(written[..3], counts);
     assert_eq!(written[3..], [separation.least_pressure, separation.opened]);
     assert!(separation.cells > 0);

@@ -13,7 +13,8 @@ use crate::output::python_with;
 use crate::output_solids::Case;
 
 /// A cube of unit length in cm about the origin, with texture coordinates on one face only and a seam along its edges.
-const CUBE: &str = "v -10 -10 -10\nv 10 -10 -10\nv 10 10 -10\nv -10 10 -10\nv -10 -10 10\nv 10 -10 10\nv 10 10 10\nv -10 10 10
+const CUBE: &str =
+    "v -10 -10 -10\nv 10 -10 -10\nv 10 10 -10\nv -10 10 -10\nv -10 -10 10\nv 10 -10 10\nv 10 10 10\nv -10 10 10
 vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1
 f 1/1 4/2 3/3 2/4\nf 5/1 6/2 7/3 8/4\nf 1/1 2/2 6/3 5/4\nf 2/1 3/2 7/3 6/4\nf 3/1 4/2 8/3 7/4\nf 4/1 1/2 5/3 8/4\n";
 
@@ -35,30 +36,13 @@ poisson = 0.25
 #[test]
 fn points_move_with_their_tetrahedra() {
     // A cube of six tetrahedra about its diagonal.
-    let corner = |number: u32| {
-        DVec3::new(
-            f64::from(number & 1),
-            f64::from(number >> 1 & 1),
-            f64::from(number >> 2),
-        )
-    };
+    let corner = |number: u32| DVec3::new(f64::from(number & 1), f64::from(number >> 1 & 1), f64::from(number >> 2));
     let mesh = TetMesh {
         nodes: (0..8).map(corner).collect(),
-        elements: vec![
-            [0, 1, 3, 7],
-            [0, 3, 2, 7],
-            [0, 2, 6, 7],
-            [0, 6, 4, 7],
-            [0, 4, 5, 7],
-            [0, 5, 1, 7],
-        ],
+        elements: vec![[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]],
     };
     let points: Vec<DVec3> = (0..200)
-        .map(|number| {
-            DVec3::from(
-                [0.618, 0.324, 0.471].map(|step| 1.4 * (step * f64::from(number)).fract() - 0.2),
-            )
-        })
+        .map(|number| DVec3::from([0.618, 0.324, 0.471].map(|step| 1.4 * (step * f64::from(number)).fract() - 0.2)))
         .collect();
     let embedding = Embedding::new(&mesh, &points);
     // Linear fields are reproduced, outside too, to the rounding of weights of order 1.
@@ -81,16 +65,8 @@ fn points_move_with_their_tetrahedra() {
 /// What trimesh (PLY) and pygltflib-like decoding by numpy (glTF) find.
 fn found(folder: &Path, script: &str) -> Option<Value> {
     let python = python_with("trimesh")?;
-    let output = Command::new(python)
-        .current_dir(folder)
-        .args(["-c", script])
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let output = Command::new(python).current_dir(folder).args(["-c", script]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).unwrap())
 }
 
@@ -133,12 +109,7 @@ print(json.dumps({'names': names, 'columns': {name: vertex[name].reshape(-1).ast
 ";
 
 fn numbers(value: &Value) -> Vec<f64> {
-    value
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|x| x.as_f64().unwrap())
-        .collect()
+    value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
 }
 
 fn vectors(value: &Value) -> Vec<Vec<f64>> {
@@ -171,26 +142,17 @@ fn skins_keep_texture_and_follow_the_solid() {
     let reports = skins(&run, &files, &mut |_, _| {}).unwrap();
     // The file uses 20 distinct pairs of position and texture vertex.
     let report = &reports[0];
-    assert_eq!(
-        (report.vertices, report.triangles, report.frames),
-        (20, 12, 2)
-    );
+    assert_eq!((report.vertices, report.triangles, report.frames), (20, 12, 2));
 
     let frames = run.join("frames");
     let Some(ply) = found(&frames, &PLY.replace("PATH", "'blocks_block_000012.ply'")) else {
         return;
     };
-    assert_eq!(
-        ply["names"],
-        serde_json::json!(["x", "y", "z", "nx", "ny", "nz", "vx", "vy", "vz", "s", "t"])
-    );
+    assert_eq!(ply["names"], serde_json::json!(["x", "y", "z", "nx", "ny", "nz", "vx", "vy", "vz", "s", "t"]));
     let column = |name: &str| numbers(&ply["columns"][name]);
     for (name, expected) in [("vx", 0.5), ("vy", -1.0), ("vz", 2.0)] {
         // Weights sum to 1 to the rounding of f32.
-        assert!(
-            column(name).iter().all(|v| (v - expected).abs() < 1e-5),
-            "{name}"
-        );
+        assert!(column(name).iter().all(|v| (v - expected).abs() < 1e-5), "{name}");
     }
     let glb = found(&frames, &GLB.replace("PATH", "'blocks_block.glb'")).unwrap();
     assert_eq!(glb["name"], "block");
@@ -198,13 +160,7 @@ fn skins_keep_texture_and_follow_the_solid() {
     assert_eq!(numbers(&glb["times"]), [0.0, 0.5]);
     assert_eq!(numbers(&glb["weights"]), [0.0, 1.0]);
     let (base, target) = (vectors(&glb["base"]), vectors(&glb["targets"][0]));
-    let (x, y, z, s, t) = (
-        column("x"),
-        column("y"),
-        column("z"),
-        column("s"),
-        column("t"),
-    );
+    let (x, y, z, s, t) = (column("x"), column("y"), column("z"), column("s"), column("t"));
     for vertex in 0..20 {
         // Corners of the cube at rest, then turned; f32 positions of up to 1 m, and weights beyond 1 outside the tetrahedra.
         let rest = DVec3::from_slice(&base[vertex]);
@@ -260,12 +216,7 @@ fn wrong_skins_are_refused_with_their_cure() {
 fn gltf(change: impl Fn(String) -> String) -> Vec<u8> {
     // A tetrahedron (0, x, y, z), outwards, mirrored by its node and moved by 1 along x.
     let mut buffer = Vec::new();
-    for x in [
-        [0.0_f32; 3],
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-    ] {
+    for x in [[0.0_f32; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
         buffer.extend(x.into_iter().flat_map(f32::to_le_bytes));
     }
     for corner in [0_u16, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3] {
@@ -296,24 +247,12 @@ fn gltf_surfaces_are_read_with_their_nodes() {
 fn broken_gltf_is_refused() {
     let file = Path::new("mesh.gltf");
     for (from, to, expected) in [
-        (
-            "data:application/octet-stream;base64,",
-            "mesh.bin?",
-            "another file",
-        ),
-        (
-            "\"byteLength\":48",
-            "\"byteLength\":47",
-            "outside its buffer",
-        ),
+        ("data:application/octet-stream;base64,", "mesh.bin?", "another file"),
+        ("\"byteLength\":48", "\"byteLength\":47", "outside its buffer"),
         ("\"count\":4", "\"count\":5", "outside its buffer"),
         ("\"count\":12", "\"count\":11", "triangles"),
         ("\"byteLength\":72", "\"byteLength\":73", "incomplete"),
-        (
-            "\"count\":4,\"type\":\"VEC3\"",
-            "\"count\":3,\"type\":\"VEC3\"",
-            "triangles",
-        ),
+        ("\"count\":4,\"type\":\"VEC3\"", "\"count\":3,\"type\":\"VEC3\"", "triangles"),
         ("\"mesh\":0}", "\"mesh\":0,\"children\":[0]}", "two parents"),
         ("\"indices\":1", "\"indices\":1,\"mode\":5", "strips"),
         ("{\"asset\"", "{\"aset\"", "no glTF"),
@@ -334,23 +273,10 @@ fn changed_gltf_is_read_or_refused() {
     // A linear congruential generator (Knuth's MMIX); fixed, so that a failure repeats.
     let mut state = 1_u64;
     let mut random = move |n: usize| {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) as usize % n
     };
-    let words = [
-        "0",
-        "-1",
-        "4294967295",
-        "18446744073709551615",
-        "1e308",
-        "null",
-        "[]",
-        "{}",
-        "\"\"",
-        ",",
-    ];
+    let words = ["0", "-1", "4294967295", "18446744073709551615", "1e308", "null", "[]", "{}", "\"\"", ","];
     for _ in 0..3000 {
         let mut bytes = sound.clone();
         for _ in 0..=random(2) {

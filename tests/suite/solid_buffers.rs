@@ -35,10 +35,7 @@ fn constants_are_where_kernels_look() {
     for real in SolidCase::reals(gpu) {
         let buffers = case.upload(gpu, real);
         let near = |found: f64, wanted: f64| {
-            assert!(
-                (found - wanted).abs() <= wanted.abs() * eps(real),
-                "{found} for {wanted}"
-            );
+            assert!((found - wanted).abs() <= wanted.abs() * eps(real), "{found} for {wanted}");
         };
         let rest = gpu.download(&buffers.rest).unwrap();
         let flags = gpu.download(&buffers.flags).unwrap();

@@ -14,14 +14,7 @@ use crate::common::Random;
 use crate::liquid_case::{EPS, GRAVITY, single};
 
 /// The six tetrahedra of a brick around one diagonal, as corners with bits x, y, z (Kuhn).
-const KUHN: [[usize; 4]; 6] = [
-    [0, 1, 3, 7],
-    [0, 3, 2, 7],
-    [0, 2, 6, 7],
-    [0, 6, 4, 7],
-    [0, 4, 5, 7],
-    [0, 5, 1, 7],
-];
+const KUHN: [[usize; 4]; 6] = [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]];
 
 /// A box of bricks, cut into tetrahedra.
 pub(crate) fn lattice(low: DVec3, size: DVec3, cells: [usize; 3]) -> TetMesh {
@@ -62,13 +55,8 @@ pub(crate) struct Material {
     pub(crate) damping: [f64; 2],
 }
 
-pub(crate) const RUBBER: Material = Material {
-    density: 1100.0,
-    young: 1e6,
-    poisson: 0.4,
-    model: ElasticModel::Corotational,
-    damping: [0.0, 0.0],
-};
+pub(crate) const RUBBER: Material =
+    Material { density: 1100.0, young: 1e6, poisson: 0.4, model: ElasticModel::Corotational, damping: [0.0, 0.0] };
 
 /// Solids of these meshes, nothing prescribed, no load.
 pub(crate) fn solids(parts: &[(TetMesh, Material)]) -> Solids {
@@ -102,10 +90,7 @@ pub(crate) fn solids(parts: &[(TetMesh, Material)]) -> Solids {
             stiffness_damping: single(material.damping[1]),
         });
     }
-    solids
-        .mass
-        .iter_mut()
-        .for_each(|mass| *mass = single(*mass));
+    solids.mass.iter_mut().for_each(|mass| *mass = single(*mass));
     let n = solids.rest.len();
     solids.prescribed = vec![[false; 3]; n];
     solids.load = vec![DVec3::ZERO; n];
@@ -137,10 +122,7 @@ impl SolidCase {
         let n = solids.rest.len();
         SolidCase {
             name,
-            grid: Grid {
-                cells: [12, 12, 20],
-                dx: 0.1,
-            },
+            grid: Grid { cells: [12, 12, 20], dx: 0.1 },
             solids,
             displacement: vec![[0.0; 3]; n],
             velocity: vec![[0.0; 3]; n],
@@ -273,40 +255,18 @@ pub(crate) fn cases() -> Vec<SolidCase> {
             RUBBER,
         )])
     };
-    let stiff = Material {
-        density: 7800.0,
-        young: 2e11,
-        poisson: 0.3,
-        damping: [0.5, 1e-3],
-        ..RUBBER
-    };
-    let linear = Material {
-        young: 1e3,
-        poisson: 0.49,
-        model: ElasticModel::Linear,
-        damping: [0.0, 0.25],
-        ..RUBBER
-    };
+    let stiff = Material { density: 7800.0, young: 2e11, poisson: 0.3, damping: [0.5, 1e-3], ..RUBBER };
+    let linear = Material { young: 1e3, poisson: 0.49, model: ElasticModel::Linear, damping: [0.0, 0.25], ..RUBBER };
     let stack = || {
-        let other = lattice(
-            DVec3::new(0.3, 0.35, 0.9),
-            DVec3::new(0.5, 0.4, 0.6),
-            [2, 1, 3],
-        );
-        solids(&[
-            (cube(), RUBBER),
-            (other, linear),
-            (one_tetrahedron(), stiff),
-        ])
+        let other = lattice(DVec3::new(0.3, 0.35, 0.9), DVec3::new(0.5, 0.4, 0.6), [2, 1, 3]);
+        solids(&[(cube(), RUBBER), (other, linear), (one_tetrahedron(), stiff)])
     };
     let squash = |scale: DVec3| move |x: DVec3| middle + scale * (x - middle);
     let mut scripted = SolidCase::new("scripted", stack()).shaken(1e-3, 3.0);
     let mut random = Random(5);
     for node in 0..scripted.solids.rest.len() {
         scripted.solids.prescribed[node] = std::array::from_fn(|_| random.uniform(0.0, 1.0) < 0.4);
-        scripted
-            .scripted
-            .push(std::array::from_fn(|_| single(random.uniform(-2.0, 2.0))));
+        scripted.scripted.push(std::array::from_fn(|_| single(random.uniform(-2.0, 2.0))));
     }
     let mut pinned = SolidCase::new("outside", stack()).shaken(2.0, 5.0);
     for node in 0..pinned.solids.rest.len() {
@@ -344,21 +304,15 @@ pub(crate) fn cases() -> Vec<SolidCase> {
         held("held in a point", 1e-2, 4.0, &|x| on_edge(x) && x.z < 0.41),
         held("at rest on a hinge", 0.0, 0.0, &on_edge),
         rollers,
-        SolidCase::new("turned", solids(&[(cube(), RUBBER)])).deformed(|x| {
-            middle + DMat3::from_axis_angle(DVec3::ONE.normalize(), 2.5) * (x - middle)
-        }),
-        SolidCase::new("squashed", solids(&[(cube(), RUBBER)]))
-            .deformed(squash(DVec3::splat(0.5)))
-            .shaken(1e-3, 1.0),
+        SolidCase::new("turned", solids(&[(cube(), RUBBER)]))
+            .deformed(|x| middle + DMat3::from_axis_angle(DVec3::ONE.normalize(), 2.5) * (x - middle)),
+        SolidCase::new("squashed", solids(&[(cube(), RUBBER)])).deformed(squash(DVec3::splat(0.5))).shaken(1e-3, 1.0),
         SolidCase::new("inside out", solids(&[(cube(), RUBBER)]))
             .deformed(squash(DVec3::splat(-1.0)))
             .shaken(1e-2, 1.0),
-        SolidCase::new("mirrored", solids(&[(cube(), RUBBER)]))
-            .deformed(squash(DVec3::new(1.0, 1.0, -1.0))),
-        SolidCase::new("flat", solids(&[(cube(), RUBBER)]))
-            .deformed(squash(DVec3::new(1.0, 1.0, 0.0))),
-        SolidCase::new("on a line", solids(&[(cube(), RUBBER)]))
-            .deformed(squash(DVec3::new(0.0, 1.0, 0.0))),
+        SolidCase::new("mirrored", solids(&[(cube(), RUBBER)])).deformed(squash(DVec3::new(1.0, 1.0, -1.0))),
+        SolidCase::new("flat", solids(&[(cube(), RUBBER)])).deformed(squash(DVec3::new(1.0, 1.0, 0.0))),
+        SolidCase::new("on a line", solids(&[(cube(), RUBBER)])).deformed(squash(DVec3::new(0.0, 1.0, 0.0))),
         SolidCase::new("in a point", solids(&[(cube(), RUBBER)])).deformed(squash(DVec3::ZERO)),
         SolidCase::new("needles", solids(&[(cube(), RUBBER)]))
             .deformed(squash(DVec3::new(0.1, 3.0, 0.1)))

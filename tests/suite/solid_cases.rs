@@ -13,19 +13,11 @@ pub(crate) const CORNER: DVec3 = DVec3::new(1.0, 2.0, 2.0);
 
 /// The nodes that rest in a box.
 pub(crate) fn region(min: impl Into<DVec3>, max: impl Into<DVec3>) -> Shape {
-    Shape::Box {
-        min: min.into(),
-        max: max.into(),
-    }
+    Shape::Box { min: min.into(), max: max.into() }
 }
 
 pub(crate) fn held(region: Shape, components: [bool; 3]) -> Pin {
-    Pin {
-        region,
-        components,
-        keyframes: Vec::new(),
-        pivot: None,
-    }
+    Pin { region, components, keyframes: Vec::new(), pivot: None }
 }
 
 /// The nodes that rest at a distance from the corner along x, m.
@@ -44,11 +36,8 @@ fn bar(cells: [usize; 3]) -> Solid {
 pub(crate) fn cantilever(cells: [usize; 3]) -> Solid {
     let mut solid = bar(cells);
     solid.pins = vec![held(section(0.0), [true; 3])];
-    solid.loads = vec![Load {
-        region: section(1.0),
-        kind: LoadKind::Force(DVec3::new(0.0, 0.0, -0.01)),
-        keyframes: Vec::new(),
-    }];
+    solid.loads =
+        vec![Load { region: section(1.0), kind: LoadKind::Force(DVec3::new(0.0, 0.0, -0.01)), keyframes: Vec::new() }];
     solid
 }
 
@@ -77,11 +66,7 @@ pub(crate) fn cantilever_table() -> Vec<CantileverRow> {
     let row = |row: Vec<&str>| {
         let number = |column: usize| row[column].parse::<f64>().unwrap();
         let [along, across] = [0, 1].map(|column| row[column].parse().unwrap());
-        CantileverRow {
-            cells: [along, across, across],
-            tip: number(4),
-            frequencies: [6, 7, 8, 9].map(number),
-        }
+        CantileverRow { cells: [along, across, across], tip: number(4), frequencies: [6, 7, 8, 9].map(number) }
     };
     rows(table).map(row).collect()
 }
@@ -105,10 +90,7 @@ pub(crate) fn worst_of_nodal_table(solids: &Solids, u: &[[f64; 3]]) -> f64 {
 /// A bar on rollers, held at one end, and the angular frequency of its first mode, exactly (1/s).
 pub(crate) fn bar_on_rollers() -> (Solid, f64) {
     let mut solid = bar([20, 2, 2]);
-    solid.pins = vec![
-        held(region([0.0; 3], [4.0; 3]), [false, true, true]),
-        held(section(0.0), [true, false, false]),
-    ];
+    solid.pins = vec![held(region([0.0; 3], [4.0; 3]), [false, true, true]), held(section(0.0), [true, false, false])];
     let [lambda, mu] = lame_parameters(solid.young, solid.poisson);
     let exact = 0.5 * std::f64::consts::PI * ((lambda + 2.0 * mu) / solid.density).sqrt();
     (solid, exact)
@@ -156,14 +138,7 @@ pub(crate) fn flying_block(strained: bool) -> Scene {
 }
 
 /// Sizes (m) and seeds of [`thrown_about`] that leave 35 to 152 of the 336 elements of [`hung_beam`] inverted.
-pub(crate) const THROWS: [(f64, u64); 6] = [
-    (0.025, 1),
-    (0.028, 2),
-    (0.032, 3),
-    (0.036, 4),
-    (0.042, 1),
-    (0.06, 3),
-];
+pub(crate) const THROWS: [(f64, u64); 6] = [(0.025, 1), (0.028, 2), (0.032, 3), (0.036, 4), (0.042, 1), (0.06, 3)];
 
 /// The beam of the base scene (numerics section 6), hung up at its top, under gravity.
 pub(crate) fn hung_beam() -> Scene {
@@ -194,7 +169,5 @@ pub(crate) fn thrown_about(scene: &Scene, (size, seed): (f64, u64)) -> (Vec<[f64
 
 /// Elements with a determinant of 0 or less.
 pub(crate) fn inverted(solids: &Solids, u: &[[f64; 3]]) -> usize {
-    (0..solids.elements.len())
-        .filter(|&element| solids.stress_and_determinant(element, u)[1] <= 0.0)
-        .count()
+    (0..solids.elements.len()).filter(|&element| solids.stress_and_determinant(element, u)[1] <= 0.0).count()
 }

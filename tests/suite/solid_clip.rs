@@ -2,8 +2,7 @@
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::{
-    Coupling, CutCells, MovedMesh, ObstacleSurfaces, SolidClip, Surface, clip, obstacle_cut,
-    open_fractions,
+    Coupling, CutCells, MovedMesh, ObstacleSurfaces, SolidClip, Surface, clip, obstacle_cut, open_fractions,
 };
 use cutwater::grid::{Axis, Grid};
 use cutwater::linalg::dot;
@@ -32,12 +31,7 @@ impl Case {
         scene.solver.area_clamp = NO_CLAMP;
         let solids = solids_of(&scene);
         let displacement = displaced(&solids, x);
-        Case {
-            name,
-            scene,
-            solids,
-            displacement,
-        }
+        Case { name, scene, solids, displacement }
     }
 
     fn mesh(&self) -> MovedMesh<'_> {
@@ -46,21 +40,14 @@ impl Case {
 
     fn clip(&self) -> SolidClip {
         let grid = self.scene.grid();
-        let mut clip = SolidClip::new(
-            &grid,
-            obstacle_cut(&self.scene, &grid).unwrap(),
-            &self.scene.solver,
-        );
+        let mut clip = SolidClip::new(&grid, obstacle_cut(&self.scene, &grid).unwrap(), &self.scene.solver);
         clip.clip(&self.mesh());
         clip
     }
 
     fn surface(&self) -> Surface {
         let mesh = self.mesh();
-        Surface {
-            vertices: mesh.nodes,
-            triangles: mesh.triangles.to_vec(),
-        }
+        Surface { vertices: mesh.nodes, triangles: mesh.triangles.to_vec() }
     }
 }
 
@@ -74,12 +61,7 @@ fn cases() -> Vec<Case> {
         let corner = DVec3::from([0; 3].map(|_| 4.0 * random.uniform(0.0, 2.0).floor()));
         let moved = |to: DVec3| move |x: DVec3| turn * (x - 0.5) + to;
         let mut add = |name: &str, size, bricks, to| {
-            cases.push(Case::new(
-                format!("{name} {number}"),
-                size,
-                bricks,
-                moved(to),
-            ));
+            cases.push(Case::new(format!("{name} {number}"), size, bricks, moved(to)));
         };
         add("block", [0.9, 0.7, 1.1], [3, 2, 4], at);
         add("plate", [1.3, 0.02, 1.1], [5, 1, 4], at);
@@ -87,23 +69,12 @@ fn cases() -> Vec<Case> {
         add("block in a corner", [1.1, 0.9, 1.3], [2, 2, 2], corner);
         add("large plate", [9.0, 0.3, 7.0], [4, 1, 3], at);
     }
-    let straight =
-        |name: &str, size, bricks, to: DVec3| Case::new(name.into(), size, bricks, move |x| x + to);
+    let straight = |name: &str, size, bricks, to: DVec3| Case::new(name.into(), size, bricks, move |x| x + to);
     cases.extend([
         straight("on planes", [1.0, 0.5, 0.75], [4, 2, 3], DVec3::splat(1.25)),
-        straight(
-            "almost on planes",
-            [1.0, 0.5, 0.75],
-            [4, 2, 3],
-            DVec3::splat(1.25 + 1e-11),
-        ),
+        straight("almost on planes", [1.0, 0.5, 0.75], [4, 2, 3], DVec3::splat(1.25 + 1e-11)),
         straight("in a corner", [1.0, 0.5, 0.75], [4, 2, 3], DVec3::ZERO),
-        straight(
-            "through two walls",
-            [6.0, 0.6, 0.55],
-            [9, 2, 2],
-            DVec3::new(-1.0, 1.4, 2.1),
-        ),
+        straight("through two walls", [6.0, 0.6, 0.55], [9, 2, 2], DVec3::new(-1.0, 1.4, 2.1)),
         straight("around all", [6.0, 6.0, 6.0], [2, 2, 2], DVec3::splat(-1.0)),
         straight("beyond", [1.0; 3], [2, 2, 2], DVec3::splat(9.0)),
         Case::new("bent".into(), [0.4, 0.4, 2.8], [2, 2, 14], |x| {
@@ -122,9 +93,7 @@ fn expected_open(grid: &Grid, start: f64, surfaces: &[Surface], clamp: f64) -> [
     let mut open = sums.faces;
     for axis in Axis::ALL {
         for (face, open) in open[axis.index()].iter_mut().enumerate() {
-            let inner = !grid
-                .face_sides(axis, grid.face_at(axis, face))
-                .contains(&None);
+            let inner = !grid.face_sides(axis, grid.face_at(axis, face)).contains(&None);
             *open = match *open {
                 open if !inner || open < clamp => 0.0,
                 open if open > 1.0 - clamp => 1.0,
@@ -138,10 +107,7 @@ fn expected_open(grid: &Grid, start: f64, surfaces: &[Surface], clamp: f64) -> [
 fn assert_open(name: &str, got: &CutCells, expected: &[Vec<f64>; 3]) {
     for (got, expected) in got.open.iter().flatten().zip(expected.iter().flatten()) {
         // A clamp may fall on either side of rounding.
-        assert!(
-            (got - expected).abs() <= 2.0 * NO_CLAMP,
-            "{name}: {got}, {expected}"
-        );
+        assert!((got - expected).abs() <= 2.0 * NO_CLAMP, "{name}: {got}, {expected}");
     }
 }
 
@@ -161,11 +127,7 @@ fn open_areas_are_those_of_all_lines_summed() {
 fn j_of_a_translation_closes_every_cell() {
     for case in cases() {
         let (grid, clip) = (case.scene.grid(), case.clip());
-        let sums = open_fractions(
-            &grid,
-            1.0,
-            &[cutwater::geometry::clip(&case.surface(), &grid)],
-        );
+        let sums = open_fractions(&grid, 1.0, &[cutwater::geometry::clip(&case.surface(), &grid)]);
         for axis in Axis::ALL {
             let a = axis.index();
             let mut v = vec![[0.0; 3]; case.solids.rest.len()];
@@ -191,19 +153,13 @@ fn j_and_its_transpose_are_adjoint_and_j_takes_barycentric_velocities() {
         let (grid, clip) = (case.scene.grid(), case.clip());
         let n = case.solids.rest.len();
         let v = noise(&mut random, n, 1.0);
-        let p: Vec<f64> = (0..grid.n_cells())
-            .map(|_| random.uniform(-1.0, 1.0))
-            .collect();
+        let p: Vec<f64> = (0..grid.n_cells()).map(|_| random.uniform(-1.0, 1.0)).collect();
         let v = v.as_flattened();
         let (mut flux, mut force) = (vec![0.0; p.len()], vec![0.0; v.len()]);
         clip.coupling().add_product(v, &mut flux);
         clip.coupling().add_transposed(&p, &mut force);
         let (left, right) = (dot(&p, &flux), dot(&force, v));
-        assert!(
-            (left - right).abs() <= 1e-13 * left.abs().max(1.0),
-            "{}",
-            case.name
-        );
+        assert!((left - right).abs() <= 1e-13 * left.abs().max(1.0), "{}", case.name);
         let mut direct = vec![0.0; p.len()];
         for patch in clip.patches() {
             let nodes = case.solids.triangles[patch.triangle];
@@ -219,24 +175,12 @@ fn j_and_its_transpose_are_adjoint_and_j_takes_barycentric_velocities() {
         }
         // Every pair once, in order; those of cells are those of nodes.
         let pairs = clip.coupling().pairs();
-        assert!(
-            pairs
-                .windows(2)
-                .all(|two| (two[0].cell, two[0].node) < (two[1].cell, two[1].node))
-        );
-        let of_nodes: usize = (0..n)
-            .map(|node| clip.coupling().node_pairs(node).len())
-            .sum();
+        assert!(pairs.windows(2).all(|two| (two[0].cell, two[0].node) < (two[1].cell, two[1].node)));
+        let of_nodes: usize = (0..n).map(|node| clip.coupling().node_pairs(node).len()).sum();
         assert_eq!(of_nodes, pairs.len());
         let half = clip.coupling().restricted(|cell| cell % 2 == 0);
         assert!(half.pairs().iter().all(|pair| pair.cell % 2 == 0));
-        assert_eq!(
-            half.cells().count(),
-            clip.coupling()
-                .cells()
-                .filter(|(cell, _)| cell % 2 == 0)
-                .count()
-        );
+        assert_eq!(half.cells().count(), clip.coupling().cells().filter(|(cell, _)| cell % 2 == 0).count());
     }
 }
 
@@ -253,11 +197,8 @@ fn patches_keep_volume_and_moments() {
             continue;
         }
         let about = 0.5 * (low + high);
-        let displaced: f64 = clip
-            .patches()
-            .iter()
-            .map(|patch| -patch.area * patch.normal.dot(patch.centroid - about) / 3.0)
-            .sum();
+        let displaced: f64 =
+            clip.patches().iter().map(|patch| -patch.area * patch.normal.dot(patch.centroid - about) / 3.0).sum();
         let volume = surface.volume();
         assert!((displaced / volume - 1.0).abs() < 1e-11, "{}", case.name);
         let mut sums = vec![[DVec3::ZERO; 3]; surface.triangles.len()];
@@ -308,11 +249,7 @@ fn distances_and_nearest_places_are_those_of_all_triangles() {
             let distance = triangles.map(|triangle| to_triangle(x, surface.corners(triangle)));
             let distance = distance.fold(f64::INFINITY, f64::min).min(3.0 * grid.dx);
             let got = clip.cut_cells().solid_distance[cell];
-            assert!(
-                (got.abs() - distance).abs() <= 1e-12,
-                "{}: {got}, {distance}",
-                case.name
-            );
+            assert!((got.abs() - distance).abs() <= 1e-12, "{}: {got}, {distance}", case.name);
             let inside = mesh.elements.iter().any(|element| {
                 let [a, b, c, d] = element.map(|node| mesh.nodes[node as usize]);
                 let weights = DMat3::from_cols(b - a, c - a, d - a).inverse() * (x - a);
@@ -327,11 +264,7 @@ fn distances_and_nearest_places_are_those_of_all_triangles() {
                     assert_eq!(nearest.cell, cell);
                     let corners = surface.corners(nearest.triangle);
                     let place: DVec3 = (0..3).map(|c| nearest.weights[c] * corners[c]).sum();
-                    assert!(
-                        (place.distance(x) - distance).abs() <= 1e-9,
-                        "{}",
-                        case.name
-                    );
+                    assert!((place.distance(x) - distance).abs() <= 1e-9, "{}", case.name);
                     assert!(nearest.weights.iter().all(|weight| *weight >= -1e-12));
                 }
             }
@@ -345,10 +278,7 @@ fn a_clip_depends_on_the_positions_alone() {
     let all = cases();
     let grid = all[0].scene.grid();
     for face_areas in [FaceAreas::Clipped, FaceAreas::Nodal] {
-        let settings = Solver {
-            face_areas,
-            ..all[0].scene.solver
-        };
+        let settings = Solver { face_areas, ..all[0].scene.solver };
         let obstacles = obstacle_cut(&all[0].scene, &grid).unwrap();
         let mut used = SolidClip::new(&grid, obstacles.clone(), &settings);
         for (number, case) in all.iter().enumerate() {
@@ -356,34 +286,17 @@ fn a_clip_depends_on_the_positions_alone() {
             let mut fresh = SolidClip::new(&grid, obstacles.clone(), &settings);
             let pool = rayon::ThreadPoolBuilder::new().num_threads(1 + number % 3);
             pool.build().unwrap().install(|| fresh.clip(&case.mesh()));
-            assert_eq!(
-                used.cut_cells().open,
-                fresh.cut_cells().open,
-                "{}",
-                case.name
-            );
-            assert_eq!(
-                used.cut_cells().solid_distance,
-                fresh.cut_cells().solid_distance,
-                "{}",
-                case.name
-            );
+            assert_eq!(used.cut_cells().open, fresh.cut_cells().open, "{}", case.name);
+            assert_eq!(used.cut_cells().solid_distance, fresh.cut_cells().solid_distance, "{}", case.name);
             assert_eq!(used.patches(), fresh.patches());
             assert_eq!(used.coupling(), fresh.coupling());
             assert_eq!(used.band(), fresh.band());
             assert_eq!(used.overlap(), fresh.overlap());
         }
         // Far away nothing is left of it.
-        used.clip(
-            &all[0]
-                .solids
-                .moved(&vec![[99.0; 3]; all[0].solids.rest.len()]),
-        );
+        used.clip(&all[0].solids.moved(&vec![[99.0; 3]; all[0].solids.rest.len()]));
         assert_eq!(used.cut_cells().open, obstacles.cut.open);
-        assert_eq!(
-            used.cut_cells().solid_distance,
-            obstacles.cut.solid_distance
-        );
+        assert_eq!(used.cut_cells().solid_distance, obstacles.cut.solid_distance);
         assert!(used.patches().is_empty() && used.band().is_empty());
     }
 }
@@ -391,17 +304,11 @@ fn a_clip_depends_on_the_positions_alone() {
 /// Two blocks that overlap by a known thickness, one of them in an obstacle: contributions add before they are clamped.
 #[test]
 fn contributions_add_and_overlaps_are_told() {
-    let mut scene = scene_of(vec![
-        block([1.0; 3], [3, 3, 3]),
-        block([1.0, 0.8, 0.6], [2, 2, 2]),
-    ]);
+    let mut scene = scene_of(vec![block([1.0; 3], [3, 3, 3]), block([1.0, 0.8, 0.6], [2, 2, 2])]);
     scene.domain.cells = [32; 3];
     scene.solver.area_clamp = NO_CLAMP;
     let floor = |top: f64| Obstacle {
-        shape: Shape::Box {
-            min: DVec3::splat(-1.0),
-            max: DVec3::new(5.0, top, 5.0),
-        },
+        shape: Shape::Box { min: DVec3::splat(-1.0), max: DVec3::new(5.0, top, 5.0) },
         placement: Placement::default(),
         inside_out: false,
         motion: None,
@@ -413,25 +320,19 @@ fn contributions_add_and_overlaps_are_told() {
     let at = |top: f64, second: DVec3| -> Vec<[f64; 3]> {
         let nodes = 0..solids.rest.len();
         let low = DVec3::new(1.11, top, 1.2);
-        nodes
-            .map(|node| if node < first { low } else { low + second }.to_array())
-            .collect()
+        nodes.map(|node| if node < first { low } else { low + second }.to_array()).collect()
     };
     // On the floor, the second beside the first; then 0.3 m deep in the floor, the second 0.2 m deep in the first.
-    for (top, second, depth, cells) in [
-        (1.07, DVec3::new(1.0, 0.0, 0.0), 0.0, 0),
-        (0.77, DVec3::new(0.8, 0.5, 0.1), 0.3, 1),
-    ] {
+    for (top, second, depth, cells) in
+        [(1.07, DVec3::new(1.0, 0.0, 0.0), 0.0, 0), (0.77, DVec3::new(0.8, 0.5, 0.1), 0.3, 1)]
+    {
         let displacement = at(top, second);
         let mesh = solids.moved(&displacement);
         let mut clip = SolidClip::new(&grid, obstacle_cut(&scene, &grid).unwrap(), &scene.solver);
         clip.clip(&mesh);
         let obstacles = ObstacleSurfaces::new(&scene, &grid).unwrap().at(0.0);
         let mut surfaces = obstacles;
-        surfaces.push(Surface {
-            vertices: mesh.nodes.clone(),
-            triangles: mesh.triangles.to_vec(),
-        });
+        surfaces.push(Surface { vertices: mesh.nodes.clone(), triangles: mesh.triangles.to_vec() });
         let expected = expected_open(&grid, 1.0, &surfaces, NO_CLAMP);
         assert_open("overlap", clip.cut_cells(), &expected);
         let overlap = clip.overlap();
@@ -448,16 +349,13 @@ fn contributions_add_and_overlaps_are_told() {
 /// A plane gives the same open areas in both ways; a turned block nearly so.
 #[test]
 fn nodal_face_areas_are_exact_for_planes() {
-    let grid = Case::new(String::new(), [1.0; 3], [1; 3], |x| x)
-        .scene
-        .grid();
+    let grid = Case::new(String::new(), [1.0; 3], [1; 3], |x| x).scene.grid();
     let mut random = Random(12);
     let (mut compared, mut sum, mut largest) = (0, 0.0, 0.0_f64);
     for number in 0..4 {
         let turn = random_rotation(&mut random);
-        let mut case = Case::new(format!("{number}"), [30.0; 3], [1; 3], |x| {
-            turn * (x - DVec3::new(30.0, 15.0, 15.0)) + 2.0
-        });
+        let mut case =
+            Case::new(format!("{number}"), [30.0; 3], [1; 3], |x| turn * (x - DVec3::new(30.0, 15.0, 15.0)) + 2.0);
         let clipped = case.clip();
         case.scene.solver.face_areas = FaceAreas::Nodal;
         let nodal = case.clip();
@@ -467,9 +365,7 @@ fn nodal_face_areas_are_exact_for_planes() {
             compared += usize::from(*a > 0.0 && *a < 1.0);
         }
         assert_eq!(clipped.coupling(), nodal.coupling());
-        let mut case = Case::new(format!("{number}"), [1.1, 0.9, 1.3], [2, 2, 2], |x| {
-            turn * (x - 0.5) + 2.03
-        });
+        let mut case = Case::new(format!("{number}"), [1.1, 0.9, 1.3], [2, 2, 2], |x| turn * (x - 0.5) + 2.03);
         let clipped = case.clip();
         case.scene.solver.face_areas = FaceAreas::Nodal;
         let nodal = case.clip();

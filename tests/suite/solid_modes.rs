@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use cutwater::elastic::Solids;
 use cutwater::linalg::{SymbolicCholesky, dot};
-use cutwater::reference::{
-    BlockPattern, Freedom, SolidSolver, SolidSystem, solid_matrices, solid_right_hand_side,
-};
+use cutwater::reference::{BlockPattern, Freedom, SolidSolver, SolidSystem, solid_matrices, solid_right_hand_side};
 use cutwater::scene::Solver;
 use cutwater::state::SolveStatus;
 
@@ -28,11 +26,7 @@ impl<'a> Dynamics<'a> {
             solids,
             pattern: Arc::new(BlockPattern::new(solids)),
             solver: SolidSolver::new(solids),
-            settings: Solver {
-                tolerance: 1e-11,
-                max_iterations: 2000,
-                ..Solver::default()
-            },
+            settings: Solver { tolerance: 1e-11, max_iterations: 2000, ..Solver::default() },
             iterative: false,
         }
     }
@@ -41,14 +35,7 @@ impl<'a> Dynamics<'a> {
         let matrices = solid_matrices(self.solids, &self.pattern, u);
         let rhs = solid_right_hand_side(self.solids, &matrices, v, dt);
         let freedom = Freedom::all(self.solids);
-        SolidSystem::new(
-            self.solids,
-            matrices.stiffness.clone(),
-            &rhs,
-            v,
-            freedom,
-            dt,
-        )
+        SolidSystem::new(self.solids, matrices.stiffness.clone(), &rhs, v, freedom, dt)
     }
 
     /// One step of dt (s) without gravity and contact: moves, then solves.
@@ -58,8 +45,7 @@ impl<'a> Dynamics<'a> {
         }
         let system = self.system(u, v, dt);
         let (next, report) = if self.iterative {
-            self.solver
-                .solve_iterative(self.solids, &system, &self.settings)
+            self.solver.solve_iterative(self.solids, &system, &self.settings)
         } else {
             self.solver.solve_direct(&system, &self.settings).unwrap()
         };
@@ -72,16 +58,9 @@ impl<'a> Dynamics<'a> {
         let still = vec![[0.0; 3]; self.solids.rest.len()];
         let (mut u, dt) = (still.clone(), 1e4);
         for _ in 0..20 {
-            let (v, report) = self
-                .solver
-                .solve_direct(&self.system(&u, &still, dt), &self.settings)
-                .unwrap();
+            let (v, report) = self.solver.solve_direct(&self.system(&u, &still, dt), &self.settings).unwrap();
             assert_eq!(report.status, SolveStatus::Converged, "{report:?}");
-            let largest = |x: &[[f64; 3]]| {
-                x.as_flattened()
-                    .iter()
-                    .fold(0.0, |m, x| f64::max(m, x.abs()))
-            };
+            let largest = |x: &[[f64; 3]]| x.as_flattened().iter().fold(0.0, |m, x| f64::max(m, x.abs()));
             for (u, v) in u.as_flattened_mut().iter_mut().zip(v.as_flattened()) {
                 *u += dt * v;
             }
@@ -105,12 +84,10 @@ impl<'a> Dynamics<'a> {
         let symbolic = SymbolicCholesky::new(&matrix).unwrap();
         let factor = symbolic.factorise(&matrix).unwrap();
         let mass: Vec<f64> = unknowns.iter().map(|at| self.solids.mass[at / 3]).collect();
-        let weighted =
-            |x: &[f64]| -> Vec<f64> { x.iter().zip(&mass).map(|(x, m)| x * m).collect() };
+        let weighted = |x: &[f64]| -> Vec<f64> { x.iter().zip(&mass).map(|(x, m)| x * m).collect() };
         let mut random = Random(5);
-        let mut shapes: Vec<Vec<f64>> = (0..count)
-            .map(|_| mass.iter().map(|_| random.uniform(-1.0, 1.0)).collect())
-            .collect();
+        let mut shapes: Vec<Vec<f64>> =
+            (0..count).map(|_| mass.iter().map(|_| random.uniform(-1.0, 1.0)).collect()).collect();
         let mut squares = vec![0.0; count];
         for _ in 0..iterations {
             for shape in &mut shapes {
@@ -121,10 +98,7 @@ impl<'a> Dynamics<'a> {
                 let (before, rest) = shapes.split_at_mut(i);
                 for other in before {
                     let share = dot(&rest[0], &weighted(other));
-                    rest[0]
-                        .iter_mut()
-                        .zip(&*other)
-                        .for_each(|(x, y)| *x -= share * y);
+                    rest[0].iter_mut().zip(&*other).for_each(|(x, y)| *x -= share * y);
                 }
                 let size = dot(&rest[0], &weighted(&rest[0])).sqrt();
                 rest[0].iter_mut().for_each(|x| *x /= size);
@@ -181,10 +155,7 @@ pub(crate) fn ringing(q: &[f64]) -> [f64; 2] {
         bc += b * c;
     }
     let determinant = aa * bb - ab * ab;
-    let (sum, product) = (
-        (ac * bb - bc * ab) / determinant,
-        (bc * aa - ac * ab) / determinant,
-    );
+    let (sum, product) = ((ac * bb - bc * ab) / determinant, (bc * aa - ac * ab) / determinant);
     let decay = product.sqrt();
     [decay, (0.5 * sum / decay).acos()]
 }

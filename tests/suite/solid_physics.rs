@@ -6,18 +6,15 @@ use cutwater::geometry::obstacle_cut;
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep};
-use cutwater::scene::{
-    ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh,
-};
+use cutwater::scene::{ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh};
 use cutwater::sim::{Backend, Options, Simulation};
 use cutwater::state::{ContactReport, SolidReport, SolveStatus, State};
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::common::gpu;
 use crate::solid_cases::{
-    THROWS, TIMOSHENKO, backward_euler, bar_on_rollers, cantilever, cantilever_table, flying_block,
-    held, hung_beam, inverted, lame_cube, lame_shape, region, thrown_about, tip,
-    worst_of_nodal_table,
+    THROWS, TIMOSHENKO, backward_euler, bar_on_rollers, cantilever, cantilever_table, flying_block, held, hung_beam,
+    inverted, lame_cube, lame_shape, region, thrown_about, tip, worst_of_nodal_table,
 };
 use crate::solid_modes::{Dynamics, ringing};
 use crate::solid_scene::{alone, block, body, scene_of, solids_of};
@@ -25,10 +22,7 @@ use crate::solid_scene::{alone, block, body, scene_of, solids_of};
 /// S2: scikit-fem and CalculiX, all nodes.
 #[test]
 fn the_cantilever_bends_as_in_other_programs() {
-    for (model, tolerance) in [
-        (ElasticModel::Corotational, 1e-4),
-        (ElasticModel::Linear, 1e-8),
-    ] {
+    for (model, tolerance) in [(ElasticModel::Corotational, 1e-4), (ElasticModel::Linear, 1e-8)] {
         let mut solid = cantilever([10, 2, 2]);
         solid.model = model;
         let solids = alone(solid);
@@ -47,10 +41,7 @@ fn the_cantilever_rings_as_in_other_programs() {
     let modes = Dynamics::new(&solids).modes(5, 300);
     for ((_, square), table) in modes.iter().zip(row.frequencies) {
         let found = square.sqrt() / std::f64::consts::TAU;
-        assert!(
-            (found - table).abs() <= 1e-7 * table,
-            "{found} Hz, table {table} Hz"
-        );
+        assert!((found - table).abs() <= 1e-7 * table, "{found} Hz, table {table} Hz");
     }
 }
 
@@ -62,11 +53,7 @@ fn the_cantilever_converges_to_beam_theory() {
         let row = &cantilever_table()[refinements];
         let solids = alone(cantilever(row.cells));
         let found = tip(&solids, &Dynamics::new(&solids).static_displacement());
-        assert!(
-            (found - row.tip).abs() < 1e-4 * row.tip.abs(),
-            "{found} m, table {} m",
-            row.tip
-        );
+        assert!((found - row.tip).abs() < 1e-4 * row.tip.abs(), "{found} m, table {} m", row.tip);
         TIMOSHENKO / found - 1.0
     });
     let rate = (excess[0] / excess[1]).log2();
@@ -77,12 +64,7 @@ fn the_cantilever_converges_to_beam_theory() {
 /// and without Rayleigh damping: atan(w dt) and 1/sqrt(1 + w^2 dt^2) without.
 #[test]
 fn modes_ring_and_decay_as_backward_euler_does() {
-    for (damping, w_dt) in [
-        ([0.0, 0.0], 0.1),
-        ([0.0, 0.0], 1.0),
-        ([0.7, 0.0], 0.2),
-        ([0.3, 0.02], 0.4),
-    ] {
+    for (damping, w_dt) in [([0.0, 0.0], 0.1), ([0.0, 0.0], 1.0), ([0.7, 0.0], 0.2), ([0.3, 0.02], 0.4)] {
         let mut solid = cantilever([10, 2, 2]);
         solid.loads.clear();
         [solid.mass_damping, solid.stiffness_damping] = damping;
@@ -98,14 +80,8 @@ fn modes_ring_and_decay_as_backward_euler_does() {
             }
             // So small that nothing turns.
             let found = ringing(&dynamics.ring(shape, 1e-7, dt, 12));
-            assert!(
-                (found[0] - decay).abs() <= 1e-5 * decay,
-                "{damping:?}: {found:?}, exactly {decay}"
-            );
-            assert!(
-                (found[1] - angle).abs() <= 1e-5 * angle,
-                "{damping:?}: {found:?}, exactly {angle}"
-            );
+            assert!((found[0] - decay).abs() <= 1e-5 * decay, "{damping:?}: {found:?}, exactly {decay}");
+            assert!((found[1] - angle).abs() <= 1e-5 * angle, "{damping:?}: {found:?}, exactly {angle}");
         }
     }
 }
@@ -122,10 +98,7 @@ fn the_lame_mode_of_a_free_cube_converges() {
         let [_, angle] = ringing(&dynamics.ring(&lame_shape(&solids), 1e-6, dt, 40));
         (angle.tan() / dt / exact - 1.0).abs()
     });
-    assert!(
-        errors[1] < 0.015 && errors[0] / errors[1] > 2.0,
-        "{errors:?}"
-    );
+    assert!(errors[1] < 0.015 && errors[0] / errors[1] > 2.0, "{errors:?}");
 }
 
 /// S10.
@@ -134,10 +107,7 @@ fn a_bar_on_rollers_has_the_frequency_of_a_bar() {
     let (solid, exact) = bar_on_rollers();
     let solids = alone(solid);
     let found = Dynamics::new(&solids).modes(1, 60)[0].1.sqrt();
-    assert!(
-        (found / exact - 1.0).abs() < 0.005,
-        "{found} 1/s, exactly {exact} 1/s"
-    );
+    assert!((found / exact - 1.0).abs() < 0.005, "{found} 1/s, exactly {exact} 1/s");
 }
 
 fn start(scene: &Scene) -> Reference {
@@ -145,21 +115,12 @@ fn start(scene: &Scene) -> Reference {
     let cut = obstacle_cut(scene, &grid).unwrap();
     let solids = solids_of(scene);
     let (displacement, node_velocity) = solids.initial_state(scene);
-    let state = State {
-        displacement,
-        node_velocity,
-        ..State::default()
-    };
+    let state = State { displacement, node_velocity, ..State::default() };
     Reference::new(scene, cut, solids, state).unwrap()
 }
 
 fn step(reference: &mut Reference, dt: f64) -> SolidReport {
-    let report = reference
-        .step(TimeStep {
-            dt,
-            ..reference.next_time_step()
-        })
-        .unwrap();
+    let report = reference.step(TimeStep { dt, ..reference.next_time_step() }).unwrap();
     let solid = report.solid.unwrap();
     assert!(report.liquid.is_none());
     assert_eq!(solid.solve.status, SolveStatus::Converged, "{report:?}");
@@ -179,14 +140,8 @@ fn bodies_fall_with_g() {
             let report = step(&mut reference, dt);
             let exact = mass * (drift + f64::from(number) * dt * gravity);
             let error = DVec3::from(report.diagnosis.momentum).distance(exact);
-            assert!(
-                error <= 1e-9 * mass * 9.81,
-                "step {number}: off by {error:e} kg m/s"
-            );
-            assert!(
-                strained == (report.diagnosis.elastic_energy > 1e-9),
-                "{report:?}"
-            );
+            assert!(error <= 1e-9 * mass * 9.81, "step {number}: off by {error:e} kg m/s");
+            assert!(strained == (report.diagnosis.elastic_energy > 1e-9), "{report:?}");
             assert_eq!(report.diagnosis.inverted, 0);
         }
     }
@@ -200,11 +155,7 @@ fn inverted_elements_recover() {
         let (displacement, before) = thrown_about(&scene, throw);
         assert!((35..=152).contains(&before), "{before} inverted");
         let solids = solids_of(&scene);
-        let state = State {
-            node_velocity: vec![[0.0; 3]; displacement.len()],
-            displacement,
-            ..State::default()
-        };
+        let state = State { node_velocity: vec![[0.0; 3]; displacement.len()], displacement, ..State::default() };
         let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
         let mut reference = Reference::new(&scene, cut, solids.clone(), state).unwrap();
         let mut last = 0;
@@ -223,11 +174,7 @@ fn inverted_elements_recover() {
 /// A cube squashed to an eighth of its volume, and one turned inside out, come back to their size.
 #[test]
 fn squashed_and_mirrored_cubes_recover() {
-    for scale in [
-        DVec3::splat(0.5),
-        DVec3::new(1.0, -1.0, 1.0),
-        DVec3::splat(-1.0),
-    ] {
+    for scale in [DVec3::splat(0.5), DVec3::new(1.0, -1.0, 1.0), DVec3::splat(-1.0)] {
         let mut solid = block([0.5; 3], [4, 4, 4]);
         solid.placement.translate = DVec3::splat(2.0);
         solid.initial.scale = scale;
@@ -267,10 +214,7 @@ fn bodies_stand_as_stiff_as_they_are_whatever_the_sub_step() {
             let weight = 1000.0 * 9.81 * 0.2 * 0.2 / (3.0 * young);
             let off = sunk / weight - 1.0;
             // Four layers are 4 % too stiff.
-            assert!(
-                off.abs() < 0.06,
-                "E {young:e}, dt {dt}: sunk by {sunk} m, {off}"
-            );
+            assert!(off.abs() < 0.06, "E {young:e}, dt {dt}: sunk by {sunk} m, {off}");
         }
     }
 }
@@ -295,9 +239,7 @@ fn impacts_add_no_energy() {
             while reference.state().time < 0.6 {
                 let SolidReport { diagnosis, .. } = step(&mut reference, dt);
                 let state = reference.state();
-                let energy = diagnosis.kinetic_energy
-                    + diagnosis.elastic_energy
-                    + diagnosis.potential_energy;
+                let energy = diagnosis.kinetic_energy + diagnosis.elastic_energy + diagnosis.potential_energy;
                 let start = *first.get_or_insert(energy);
                 let added = 0.5 * mass * 9.81 * 9.81 * dt * state.time;
                 let what = format!("E {young:e}, dt {dt}, {} s", state.time);
@@ -331,15 +273,8 @@ fn bodies_slide_down_a_slope() {
         scene.domain.cells = [24; 3];
         scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
         scene.obstacles = vec![Obstacle {
-            shape: Shape::Box {
-                min: DVec3::splat(-8.0),
-                max: DVec3::splat(8.0),
-            },
-            placement: Placement {
-                translate: foot - 8.0 * normal,
-                rotate: turn,
-                ..Placement::default()
-            },
+            shape: Shape::Box { min: DVec3::splat(-8.0), max: DVec3::splat(8.0) },
+            placement: Placement { translate: foot - 8.0 * normal, rotate: turn, ..Placement::default() },
             inside_out: false,
             motion: None,
         }];
@@ -352,8 +287,7 @@ fn bodies_slide_down_a_slope() {
         }
         let state = reference.state();
         let mean = solids.mass.iter().zip(&state.displacement);
-        let mean = mean.map(|(m, u)| *m * DVec3::from(*u)).sum::<DVec3>()
-            / solids.mass.iter().sum::<f64>();
+        let mean = mean.map(|(m, u)| *m * DVec3::from(*u)).sum::<DVec3>() / solids.mass.iter().sum::<f64>();
         // Velocities after a step move the next one.
         let way = -9.81 * angle.sin() * dt * dt * 0.5 * n * (n - 1.0);
         let off = mean.dot(along) / way - 1.0;
@@ -380,9 +314,7 @@ fn bodies_rest_on_the_floor() {
         step(&mut reference, 1.0 / 240.0);
         let state = reference.state();
         let nodes = solids.rest.iter().zip(&state.displacement);
-        let lowest = nodes
-            .map(|(rest, u)| rest.y + u[1])
-            .fold(f64::INFINITY, f64::min);
+        let lowest = nodes.map(|(rest, u)| rest.y + u[1]).fold(f64::INFINITY, f64::min);
         assert!(lowest >= -1e-15, "a node is {lowest} m below the floor");
     }
     let report = step(&mut reference, 1.0 / 240.0);
@@ -396,17 +328,13 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
     let refused = |solid: Solid, obstacles: Vec<Obstacle>| {
         let mut scene = scene_of(vec![solid]);
         scene.obstacles = obstacles;
-        Simulation::new(&scene, &Backend::Cpu)
-            .unwrap_err()
-            .to_string()
+        Simulation::new(&scene, &Backend::Cpu).unwrap_err().to_string()
     };
     let mut outside = block([0.4; 3], [2, 2, 2]);
     outside.placement.translate = DVec3::new(3.9, 2.0, 2.0);
     let text = refused(outside, Vec::new());
     assert!(
-        text.contains("solid[0]")
-            && text.contains("outside the domain")
-            && text.contains("placement.at"),
+        text.contains("solid[0]") && text.contains("outside the domain") && text.contains("placement.at"),
         "{text}"
     );
     let stone = Obstacle {
@@ -421,12 +349,7 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
         solid
     };
     let text = refused(inside(2.3), vec![stone.clone()]);
-    assert!(
-        text.contains("solid[0]")
-            && text.contains("deep in obstacle[0]")
-            && text.contains("solid.pin"),
-        "{text}"
-    );
+    assert!(text.contains("solid[0]") && text.contains("deep in obstacle[0]") && text.contains("solid.pin"), "{text}");
     // On it, it may start; and in it where it is held.
     let mut held_inside = inside(2.3);
     held_inside.pins = vec![held(region([0.0; 3], [4.0; 3]), [true; 3])];
@@ -476,18 +399,12 @@ fn stiff_bodies_are_not_thrown() {
     let mut reference = start(&scene);
     let (mut at_first, mut least, mut most) = (None, f64::INFINITY, 0);
     for number in 1..=48 {
-        let SolidReport {
-            contact, diagnosis, ..
-        } = step(&mut reference, 1.0 / 48.0);
+        let SolidReport { contact, diagnosis, .. } = step(&mut reference, 1.0 / 48.0);
         assert_eq!(contact.unsettled, 0, "step {number}: {contact:?}");
         most = contact.solves.max(most);
         let at_first = *at_first.get_or_insert(diagnosis.potential_energy);
-        let energy =
-            diagnosis.kinetic_energy + diagnosis.elastic_energy + diagnosis.potential_energy;
-        assert!(
-            energy - least <= 0.1 * at_first,
-            "step {number}: {least} to {energy} J, {at_first} J at the start"
-        );
+        let energy = diagnosis.kinetic_energy + diagnosis.elastic_energy + diagnosis.potential_energy;
+        assert!(energy - least <= 0.1 * at_first, "step {number}: {least} to {energy} J, {at_first} J at the start");
         assert!(diagnosis.min_det > 0.9, "step {number}: {diagnosis:?}");
         least = f64::min(least, energy);
     }
@@ -513,10 +430,7 @@ fn nodes_held_in_an_obstacle_stop_no_search() {
         inside_out: false,
         motion: None,
     };
-    scene.obstacles = vec![
-        stone([1.0, 1.5, 1.5], [1.65, 2.5, 2.5]),
-        stone([2.3, 1.0, 1.5], [2.7, 1.895, 2.5]),
-    ];
+    scene.obstacles = vec![stone([1.0, 1.5, 1.5], [1.65, 2.5, 2.5]), stone([2.3, 1.0, 1.5], [2.7, 1.895, 2.5])];
     let mut reference = start(&scene);
     let mut several = 0;
     for number in 1..=48 {
@@ -562,9 +476,7 @@ fn a_search_goes_on_from_solves_that_end_at_their_rounding() {
     let reports = run(&scene, &Backend::Cpu);
     assert_settled(&Backend::Cpu, &reports);
     // The last before it touches: the next begins with a solve of the same system.
-    let falls = reports
-        .iter()
-        .take_while(|report| report.contact.solves == 1);
+    let falls = reports.iter().take_while(|report| report.contact.solves == 1);
     let status = falls.last().unwrap().solve.status;
     assert_eq!(status, SolveStatus::Stagnated, "{reports:?}");
 
@@ -575,10 +487,7 @@ fn a_search_goes_on_from_solves_that_end_at_their_rounding() {
     let reports = run(&scene, &backend);
     let cut_short = |report: &SolidReport| report.solve.status == SolveStatus::IterationLimit;
     let searched_on = |report: &SolidReport| report.contact.solves > 2;
-    assert!(
-        reports.iter().any(cut_short) && !reports.iter().any(searched_on),
-        "{reports:?}"
-    );
+    assert!(reports.iter().any(cut_short) && !reports.iter().any(searched_on), "{reports:?}");
 }
 
 /// A beam twisted and stretched by a script: the scripted end lands on its keyframes, the other end is held.
@@ -586,12 +495,7 @@ fn a_search_goes_on_from_solves_that_end_at_their_rounding() {
 fn a_scripted_end_takes_the_beam_along() {
     let mut solid = block([1.0, 0.2, 0.2], [6, 2, 2]);
     solid.placement.translate = DVec3::splat(2.0);
-    let frame = |time, x: f64, angle| Keyframe {
-        time,
-        translate: DVec3::new(x, 0.0, 0.0),
-        axis: DVec3::X,
-        angle,
-    };
+    let frame = |time, x: f64, angle| Keyframe { time, translate: DVec3::new(x, 0.0, 0.0), axis: DVec3::X, angle };
     let end = region([2.5, 1.9, 1.9], [2.5, 2.1, 2.1]);
     solid.pins = vec![
         held(region([1.5, 0.0, 0.0], [1.5, 4.0, 4.0]), [true; 3]),
@@ -619,9 +523,7 @@ fn a_scripted_end_takes_the_beam_along() {
             assert!(error <= 1e-13, "step {number}: off by {error:e} m");
         }
     }
-    let middle: Vec<usize> = (0..solids.rest.len())
-        .filter(|&node| (solids.rest[node].x - 2.0).abs() < 1e-9)
-        .collect();
+    let middle: Vec<usize> = (0..solids.rest.len()).filter(|&node| (solids.rest[node].x - 2.0).abs() < 1e-9).collect();
     for node in middle {
         // Half the stretch and half the turn, about.
         let u = DVec3::from(reference.state().displacement[node]);
@@ -637,12 +539,7 @@ fn a_scripted_end_takes_the_beam_along() {
 fn a_script_may_be_faster_than_the_first_step() {
     let mut solid = block([0.4; 3], [2, 2, 2]);
     solid.placement.translate = DVec3::splat(2.0);
-    let frame = |time, x: f64| Keyframe {
-        time,
-        translate: DVec3::new(x, 0.0, 0.0),
-        axis: DVec3::X,
-        angle: 0.0,
-    };
+    let frame = |time, x: f64| Keyframe { time, translate: DVec3::new(x, 0.0, 0.0), axis: DVec3::X, angle: 0.0 };
     solid.pins = vec![Pin {
         region: region([1.8, 1.8, 1.8], [1.8, 2.2, 2.2]),
         components: [true, false, true],
@@ -668,10 +565,7 @@ fn a_script_may_be_faster_than_the_first_step() {
                 let exact = script.displacement(solids.rest[node as usize], state.time);
                 let u = DVec3::from(state.displacement[node as usize]);
                 let error = (u - exact).with_y(0.0).length();
-                assert!(
-                    error <= bound,
-                    "{backend:?}, step {number}: off by {error:e} m"
-                );
+                assert!(error <= bound, "{backend:?}, step {number}: off by {error:e} m");
             }
         }
     }
@@ -694,9 +588,7 @@ fn bars_spin_in_long_sub_steps() {
         let mut reference = start(&scene);
         let solids = solids_of(&scene);
         let at_start = reference.state().node_velocity.iter().zip(&solids.mass);
-        let energy: f64 = at_start
-            .map(|(v, mass)| 0.5 * mass * DVec3::from(*v).length_squared())
-            .sum();
+        let energy: f64 = at_start.map(|(v, mass)| 0.5 * mass * DVec3::from(*v).length_squared()).sum();
         let (mut most, mut elastic) = (0.0, 0.0);
         for _ in 0..frames as usize {
             let report = reference.step(reference.next_time_step()).unwrap();
@@ -709,10 +601,7 @@ fn bars_spin_in_long_sub_steps() {
     let about_z = DVec3::new(0.0, 0.0, 6.0);
     for spin in [about_z, DVec3::new(3.0, 6.0, 1.0)] {
         let [most, elastic] = run(1e8, 0.0, spin, 24.0);
-        assert!(
-            most <= 1.005 && elastic <= 1e-3,
-            "{spin}: {most}, {elastic}"
-        );
+        assert!(most <= 1.005 && elastic <= 1e-3, "{spin}: {most}, {elastic}");
     }
     let [most, long] = run(5e4, 0.05, about_z, 24.0);
     let [_, short] = run(5e4, 0.05, about_z, 240.0);
@@ -746,9 +635,7 @@ fn bars_swing_about_what_holds_them() {
         let mut reference = start(&scene);
         let solids = solids_of(&scene);
         let at_start = reference.state().node_velocity.iter().zip(&solids.mass);
-        let energy: f64 = at_start
-            .map(|(v, mass)| 0.5 * mass * DVec3::from(*v).length_squared())
-            .sum();
+        let energy: f64 = at_start.map(|(v, mass)| 0.5 * mass * DVec3::from(*v).length_squared()).sum();
         let (mut most, mut end) = (0.0, [0.0; 2]);
         for _ in 0..24 {
             let report = reference.step(reference.next_time_step()).unwrap();
@@ -766,20 +653,11 @@ fn bars_swing_about_what_holds_them() {
     };
     let low = DVec3::new(0.69, 0.94, 0.94);
     for (held, spin) in [
-        (
-            [low, DVec3::new(0.71, 0.96, 1.06)],
-            DVec3::new(0.0, 0.0, 6.0),
-        ),
-        (
-            [low, DVec3::new(0.71, 0.96, 0.96)],
-            DVec3::new(0.0, 6.0, 1.0),
-        ),
+        ([low, DVec3::new(0.71, 0.96, 1.06)], DVec3::new(0.0, 0.0, 6.0)),
+        ([low, DVec3::new(0.71, 0.96, 0.96)], DVec3::new(0.0, 6.0, 1.0)),
     ] {
         let (most, [kinetic, elastic]) = run(held, spin);
-        assert!(
-            most <= 1.005 && elastic <= 1e-3,
-            "{spin}: {most}, {elastic}"
-        );
+        assert!(most <= 1.005 && elastic <= 1e-3, "{spin}: {most}, {elastic}");
         assert!(kinetic >= 0.9, "{spin}: it swings on, {kinetic}");
     }
 }
@@ -790,10 +668,7 @@ fn bars_swing_about_what_holds_them() {
 fn stiff_bodies_spin_ten_turns() {
     let everywhere = region(DVec3::ZERO, DVec3::splat(4.0));
     let edge = DVec3::new(1.0, 1.0, 1.05);
-    let near_edge = region(
-        edge - DVec3::new(0.01, 0.01, 0.2),
-        edge + DVec3::new(0.01, 0.01, 0.2),
-    );
+    let near_edge = region(edge - DVec3::new(0.01, 0.01, 0.2), edge + DVec3::new(0.01, 0.01, 0.2));
     let about_z = DVec3::new(0.0, 0.0, 12.0);
     for (pins, about, spin) in [
         (vec![], None, about_z),
@@ -817,17 +692,12 @@ fn stiff_bodies_spin_ten_turns() {
                 let x = |node: usize| solids.rest[node] + DVec3::from(state.displacement[node]);
                 let v = |node: usize| DVec3::from(state.node_velocity[node]);
                 let nodes = || 0..solids.rest.len();
-                let sum = |of: &dyn Fn(usize) -> DVec3| -> DVec3 {
-                    nodes().map(|node| solids.mass[node] * of(node)).sum()
-                };
+                let sum =
+                    |of: &dyn Fn(usize) -> DVec3| -> DVec3 { nodes().map(|node| solids.mass[node] * of(node)).sum() };
                 let mass: f64 = solids.mass.iter().sum();
                 let centre = about.unwrap_or_else(|| sum(&x) / mass);
                 let total = sum(&|node| (x(node) - centre).cross(v(node)));
-                if pins.is_empty() {
-                    total
-                } else {
-                    total * DVec3::Z
-                }
+                if pins.is_empty() { total } else { total * DVec3::Z }
             };
             let before = momentum(&reference);
             let dt = angle / spin.length();
@@ -841,10 +711,7 @@ fn stiff_bodies_spin_ten_turns() {
                 let it = step(&mut reference, dt).diagnosis;
                 let energy = (it.kinetic_energy + it.elastic_energy) / at_start;
                 let turned = (momentum(&reference) - before).length() / before.length();
-                let what = format!(
-                    "{spin}, {} pins, {angle} rad: {energy}, {turned}",
-                    pins.len()
-                );
+                let what = format!("{spin}, {} pins, {angle} rad: {energy}, {turned}", pins.len());
                 assert!((energy - 1.0).abs() <= 0.01 && turned <= 0.01, "{what}");
             }
         }
@@ -860,10 +727,7 @@ fn a_run_of_solids_repeats_bit_for_bit() {
     let mut scene = scene_of(vec![solid]);
     scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let mut reference = start(&scene);
             for _ in 0..10 {
@@ -910,31 +774,14 @@ fn a_scene_of_solids_runs_on_the_cpu() {
         resume: false,
     };
     let summary = cutwater::sim::run(&scene, &options, &mut |_| {}, &false.into()).unwrap();
-    assert_eq!(
-        (
-            summary.frames,
-            summary.tally.missed,
-            summary.tally.volume_ratio
-        ),
-        (3, 0, None)
-    );
+    assert_eq!((summary.frames, summary.tally.missed, summary.tally.volume_ratio), (3, 0, None));
     assert!(options.out.join("frames/fall_000003.vtu").exists());
     let mut table = csv::Reader::from_path(options.out.join("steps.csv")).unwrap();
     let head: Vec<String> = table.headers().unwrap().iter().map(str::to_owned).collect();
-    let stages = [
-        "move_solid",
-        "forces",
-        "solid_matrices",
-        "right_hand_side",
-        "solve",
-        "diagnose",
-    ];
+    let stages = ["move_solid", "forces", "solid_matrices", "right_hand_side", "solve", "diagnose"];
     let columns = stages.map(|stage| format!("seconds_{stage}"));
     assert_eq!(head[head.len() - 6..], columns);
-    let momentum = head
-        .iter()
-        .position(|name| name == "solid_momentum_y")
-        .unwrap();
+    let momentum = head.iter().position(|name| name == "solid_momentum_y").unwrap();
     let last = table.records().last().unwrap().unwrap();
     let found: f64 = last[momentum].parse().unwrap();
     assert!((found + 8.0 * 9.81 * 0.125).abs() < 1e-9, "{found} kg m/s");
@@ -946,10 +793,7 @@ fn a_scene_of_solids_runs_on_the_cpu() {
     assert!(start != after);
     simulation.reset(&start).unwrap();
     simulation.step().unwrap();
-    assert!(
-        simulation.state().unwrap() == after,
-        "a reset start repeats"
-    );
+    assert!(simulation.state().unwrap() == after, "a reset start repeats");
     let grid: Grid = scene.grid();
     assert_eq!(simulation.cut_cells().solid_distance.len(), grid.n_cells());
 }

@@ -50,10 +50,7 @@ pub(crate) fn block(size: [f64; 3], cells: [usize; 3]) -> Solid {
     let size = DVec3::from(size);
     Solid {
         name: "block".into(),
-        placement: Placement {
-            translate: 0.5 * size,
-            ..Placement::default()
-        },
+        placement: Placement { translate: 0.5 * size, ..Placement::default() },
         ..body(SolidMesh::Box { size, cells })
     }
 }
@@ -63,10 +60,7 @@ pub(crate) fn scene_of(solids: Vec<Solid>) -> Scene {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("test.toml");
     fs::write(&path, EMPTY).unwrap();
-    Scene {
-        solids,
-        ..Scene::load(&path, &[], 1.0).unwrap()
-    }
+    Scene { solids, ..Scene::load(&path, &[], 1.0).unwrap() }
 }
 
 /// The solids of a scene.

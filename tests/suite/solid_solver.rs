@@ -57,11 +57,7 @@ impl<'a> Device<'a> {
             let body = solids.body_of_element(element);
             let volume = body.zeta_stiffness(case.dt) * solids.volume[element];
             let deformation = &matrices.deformations[element];
-            let fourth = [
-                volume * body.lambda,
-                volume * body.mu,
-                deformation.determinant(),
-            ];
+            let fourth = [volume * body.lambda, volume * body.mu, deformation.determinant()];
             for (section, fourth) in fourth.into_iter().enumerate() {
                 let at = 4 * (section * m + element);
                 let turned = deformation.rotation * solids.gradients[element][section + 1];
@@ -78,10 +74,8 @@ impl<'a> Device<'a> {
         let degree = bounds.chebyshev_degree(solids, case.dt);
         let obstacles = ObstacleBuffers::new(gpu, &case.grid, fields.plan.obstacles).unwrap();
         obstacles.write(gpu, &case.solid_distance);
-        let field = fields.level.as_ref().map(|level| ObstacleField {
-            level,
-            solid_distance: &obstacles.solid_distance,
-        });
+        let field =
+            fields.level.as_ref().map(|level| ObstacleField { level, solid_distance: &obstacles.solid_distance });
         let device = Device {
             gpu,
             system: SolidSystem::new(gpu, &buffers, &fields, field).unwrap(),
@@ -143,9 +137,7 @@ impl<'a> Device<'a> {
         let (gpu, fields) = (self.gpu, &self.fields);
         self.fields.write_state(gpu, &self.state);
         let to = self.prepare();
-        let solve = self
-            .solver
-            .solve(gpu, to, &self.buffers, fields, &self.polynomial);
+        let solve = self.solver.solve(gpu, to, &self.buffers, fields, &self.polynomial);
         let (outcome, _) = solve.unwrap();
         let velocity = self.fields.velocity.download(gpu).unwrap();
         (outcome, three(&velocity))
@@ -159,26 +151,20 @@ impl<'a> Device<'a> {
 
     fn precondition(&self, r: &[f64]) -> Vec<f64> {
         let (gpu, fields) = (self.gpu, &self.fields);
-        let answer =
-            self.solver
-                .precondition(gpu, &self.buffers, fields, &self.polynomial, &four(r));
+        let answer = self.solver.precondition(gpu, &self.buffers, fields, &self.polynomial, &four(r));
         three(&answer.unwrap()[..4 * self.n_nodes])
     }
 }
 
 /// Three numbers per node of four.
 fn three(x: &[f64]) -> Vec<f64> {
-    x.chunks_exact(4)
-        .flat_map(|node| node[..3].to_vec())
-        .collect()
+    x.chunks_exact(4).flat_map(|node| node[..3].to_vec()).collect()
 }
 
 /// Four numbers per node of three.
 fn four(x: &[f64]) -> Vec<f64> {
     let nodes = x.chunks_exact(3);
-    nodes
-        .flat_map(|node| [node[0], node[1], node[2], 0.0])
-        .collect()
+    nodes.flat_map(|node| [node[0], node[1], node[2], 0.0]).collect()
 }
 
 /// Uniform in -1..1 for free components, as f32 has them; 0 for prescribed ones.
@@ -204,11 +190,7 @@ fn hanging(cells: [usize; 3], material: Material, dt: f64) -> SolidCase {
             case.solids.prescribed[node] = [true; 3];
             continue;
         }
-        let wave = [
-            0.3 * (3.0 * x.z).sin(),
-            0.2 * (4.0 * x.x).cos(),
-            0.1 * (2.0 * x.y).sin() - 9.81 * dt,
-        ];
+        let wave = [0.3 * (3.0 * x.z).sin(), 0.2 * (4.0 * x.x).cos(), 0.1 * (2.0 * x.y).sin() - 9.81 * dt];
         case.velocity[node] = wave.map(|v| f64::from(v as f32));
     }
     case
@@ -237,33 +219,22 @@ fn systems() -> Vec<SolidCase> {
             }
         }
     }
-    let stiff = Material {
-        young: 1e9,
-        density: 10.0,
-        ..RUBBER
-    };
+    let stiff = Material { young: 1e9, density: 10.0, ..RUBBER };
     all.push(hanging([2, 2, 14], RUBBER, 1.0 / 120.0));
     all.push(hanging([4, 4, 28], RUBBER, 1.0 / 120.0));
     all.push(hanging([3, 3, 21], stiff, 1.0 / 24.0));
-    let stiffest = Material {
-        young: 1e11,
-        ..RUBBER
-    };
+    let stiffest = Material { young: 1e11, ..RUBBER };
     all.push(hanging([3, 3, 21], stiffest, 1.0 / 240.0));
     all.extend([in_a_corner(RUBBER), in_a_corner(stiff)]);
     all.extend([on_a_slope(RUBBER, 4), on_a_slope(stiffest, 7)]);
     // One that rises, turns and pushes, and one that recedes.
-    for (name, velocity) in [
-        ("on a rising slope", DVec3::new(-0.5, 0.25, 1.0)),
-        ("on a receding slope", DVec3::new(0.25, 0.0, -0.5)),
-    ] {
+    for (name, velocity) in
+        [("on a rising slope", DVec3::new(-0.5, 0.25, 1.0)), ("on a receding slope", DVec3::new(0.25, 0.0, -0.5))]
+    {
         let mut case = on_a_slope(RUBBER, 4);
         case.name = name;
-        case.motion = Some(RigidVelocity {
-            velocity,
-            spin: DVec3::new(0.5, -1.0, 0.25),
-            centre: DVec3::new(0.25, 0.5, 0.0),
-        });
+        case.motion =
+            Some(RigidVelocity { velocity, spin: DVec3::new(0.5, -1.0, 0.25), centre: DVec3::new(0.25, 0.5, 0.0) });
         all.push(case);
     }
     all
@@ -316,29 +287,16 @@ fn nodes(x: &[f64]) -> Vec<[f64; 3]> {
 /// |S| |x|: what rounding of S x is a part of.
 fn magnitudes(twin: &Twin, x: &[f64]) -> Vec<f64> {
     let matrix = twin.to_csr();
-    let row = |row| {
-        matrix
-            .row(row)
-            .map(|(column, s)| (s * x[column]).abs())
-            .sum()
-    };
+    let row = |row| matrix.row(row).map(|(column, s)| (s * x[column]).abs()).sum();
     (0..x.len()).map(row).collect()
 }
 
 fn precisions(gpu: &Gpu) -> Vec<Solver> {
-    let all = [
-        (Precision::F32, 1e-5),
-        (Precision::Mixed, 1e-8),
-        (Precision::F64, 1e-10),
-    ];
+    let all = [(Precision::F32, 1e-5), (Precision::Mixed, 1e-8), (Precision::F64, 1e-10)];
     let there = all.into_iter();
     there
         .filter(|(precision, _)| gpu.has_f64() || *precision != Precision::F64)
-        .map(|(precision, tolerance)| Solver {
-            precision,
-            tolerance,
-            ..Solver::default()
-        })
+        .map(|(precision, tolerance)| Solver { precision, tolerance, ..Solver::default() })
         .collect()
 }
 
@@ -371,50 +329,28 @@ fn the_velocities_solve_the_system() {
 
 /// What walls and obstacles hold from the start, and at which velocities, is the twin's: gaps, and normals of obstacles, are f32.
 fn assert_contacts(what: &str, case: &SolidCase, twin: &Twin, device: &Device) -> Contacts {
-    let contacts = Contacts::new(
-        &case.solids,
-        &case.obstacles(),
-        &case.displacement,
-        twin.forces(),
-        case.dt,
-    );
+    let contacts = Contacts::new(&case.solids, &case.obstacles(), &case.displacement, twin.forces(), case.dt);
     let mut wanted = case.velocity.clone();
     let freedom = contacts.hold(&mut wanted);
     let found = device.velocity();
     for (node, (freedom, found_freedom)) in freedom.iter().zip(twin.freedom()).enumerate() {
         let off = freedom.projector - found_freedom.projector;
-        let off = off
-            .to_cols_array()
-            .map(f64::abs)
-            .into_iter()
-            .fold(0.0, f64::max);
-        assert!(
-            off < 1e-5,
-            "{what}: node {node}: {freedom:?}, {found_freedom:?}"
-        );
+        let off = off.to_cols_array().map(f64::abs).into_iter().fold(0.0, f64::max);
+        assert!(off < 1e-5, "{what}: node {node}: {freedom:?}, {found_freedom:?}");
         let (wanted, found) = (DVec3::from(wanted[node]), DVec3::from(found[node]));
         let reach = DVec3::from(case.displacement[node]).length() + case.grid.size().length();
         let bound = 1e-5 * wanted.length() + 16.0 * eps(Real::F32) * reach / case.dt;
         let touched = freedom.rank() < Freedom::of(case.solids.prescribed[node]).rank();
         let bound = if touched { bound } else { 0.0 };
         let off = wanted.distance(found);
-        assert!(
-            off <= bound,
-            "{what}: node {node}: {found} m/s for {wanted}"
-        );
+        assert!(off <= bound, "{what}: node {node}: {found} m/s for {wanted}");
     }
     contacts
 }
 
 /// Between solves the search for contacts does what the twin does, up to rounding, as gaps are f32: where it starts from, what is on the way
 /// from there to what the solve found, whether phi grows on it, where it first stops, what is wrong, and who is held and let go.
-fn assert_search(
-    what: &str,
-    case: &SolidCase,
-    twin: &Twin,
-    mut contacts: Contacts,
-    device: &Device,
-) {
+fn assert_search(what: &str, case: &SolidCase, twin: &Twin, mut contacts: Contacts, device: &Device) {
     let search = device.system.search();
     let found = device.velocity();
     let reach = largest_length(&case.displacement) + case.grid.size().length();
@@ -424,10 +360,7 @@ fn assert_search(
             let (wanted, found) = (DVec3::from(*wanted), DVec3::from(*found));
             let bound = 1e-4 * wanted.length() + gap / case.dt;
             let off = wanted.distance(found);
-            assert!(
-                off <= bound,
-                "{what}, {of}: node {node}: {found} for {wanted} m/s"
-            );
+            assert!(off <= bound, "{what}, {of}: node {node}: {found} for {wanted} m/s");
         }
     };
     let assert_held = |of: &str, contacts: &Contacts| {
@@ -436,10 +369,7 @@ fn assert_search(
             let off = twin.projector - found.projector;
             let off = off.to_cols_array().map(f64::abs);
             let off = off.into_iter().fold(0.0, f64::max);
-            assert!(
-                off < 1e-5,
-                "{what}, {of}: node {node}: {found:?} for {twin:?}"
-            );
+            assert!(off < 1e-5, "{what}, {of}: node {node}: {found:?} for {twin:?}");
         }
     };
     device.ask([0; 2], 0, |pass| search.record_rest(pass));
@@ -465,21 +395,11 @@ fn assert_search(
     }
     let one = [1_f32.to_bits(), 0];
     let [stop, _] = device.ask(one, 0, |pass| search.record_first_stop(pass));
-    let (stop, wanted) = (
-        f64::from(f32::from_bits(stop)),
-        contacts.first_stop(&best, &found),
-    );
+    let (stop, wanted) = (f64::from(f32::from_bits(stop)), contacts.first_stop(&best, &found));
     // Gaps over a way of more than what is taken for beyond.
     let bound = 1e-5 + 2.0 * gap / contacts.near();
-    assert!(
-        (stop - wanted).abs() <= bound,
-        "{what}: {stop}, {wanted} of the way"
-    );
-    assert_eq!(
-        device.velocity(),
-        found,
-        "{what}: the search changes what was found"
-    );
+    assert!((stop - wanted).abs() <= bound, "{what}: {stop}, {wanted} of the way");
+    assert_eq!(device.velocity(), found, "{what}: the search changes what was found");
 
     for told in [0, 1] {
         let wrong = contacts.judge(twin, &found);
@@ -509,11 +429,7 @@ fn largest_length(vectors: &[[f64; 3]]) -> f64 {
 /// Velocities that solve the system, as the reported residual says; those that are prescribed stay to the bit.
 fn assert_solution(what: &str, case: &SolidCase, twin: &Twin, device: &Device, solver: &Solver) {
     let (outcome, velocity) = device.solve();
-    assert_eq!(
-        outcome.status,
-        SolveStatus::Converged,
-        "{what}: {outcome:?}"
-    );
+    assert_eq!(outcome.status, SolveStatus::Converged, "{what}: {outcome:?}");
     assert_eq!(outcome.unknowns as usize, twin.n_unknowns(), "{what}");
     let held = case.velocity.as_flattened();
     let prescribed = case.solids.prescribed.as_flattened();
@@ -525,10 +441,7 @@ fn assert_solution(what: &str, case: &SolidCase, twin: &Twin, device: &Device, s
     // The device has moduli, masses and, without f64, gradients in f32: rounding of the terms of S v.
     let size = norm(&magnitudes(twin, &velocity)) + twin.rhs_scale;
     let coarse = 32.0 * eps(device.fields.velocity.real) * size;
-    assert!(
-        residual <= goal + coarse,
-        "{what}: |r| is {residual:e} N, not {goal:e} and {coarse:e}; {outcome:?}"
-    );
+    assert!(residual <= goal + coarse, "{what}: |r| is {residual:e} N, not {goal:e} and {coarse:e}; {outcome:?}");
     let reported = outcome.residual * norm(&twin.rhs);
     assert!(
         (reported - residual).abs() <= 1e-3 * residual + coarse,
@@ -549,10 +462,7 @@ fn assert_operator(what: &str, case: &SolidCase, twin: &Twin, device: &Device) {
     let bound = 64.0 * eps * norm(&size);
     for (at, (found, wanted)) in sx.iter().zip(&wanted).enumerate() {
         let off = (found - wanted).abs();
-        assert!(
-            off <= bound,
-            "{what}: component {at} is off by {off:e} of {bound:e}"
-        );
+        assert!(off <= bound, "{what}: component {at} is off by {off:e} of {bound:e}");
     }
     let (xsy, ysx) = (dot(&x, &sy), dot(&y, &sx));
     let terms = 64.0 * eps * size.iter().sum::<f64>();
@@ -576,23 +486,14 @@ fn assert_operator(what: &str, case: &SolidCase, twin: &Twin, device: &Device) {
 
 /// The preconditioner is symmetric and positive, and what is prescribed stays 0. In f32 symmetric up to rounding, which the polynomial lets
 /// grow with its degree.
-fn assert_preconditioner(
-    what: &str,
-    case: &SolidCase,
-    twin: &Twin,
-    device: &Device,
-    solver: &Solver,
-) {
+fn assert_preconditioner(what: &str, case: &SolidCase, twin: &Twin, device: &Device, solver: &Solver) {
     let [x, y] = [3, 4].map(|seed| twin.free_part(&nodes(&noise(case, seed))));
     let [hx, hy] = [&x, &y].map(|r| device.precondition(r));
     let real = device.fields.velocity.real;
     for (hx, free) in nodes(&hx).iter().zip(nodes(&twin.free_part(&nodes(&hx)))) {
         let (hx, free) = (DVec3::from(*hx), DVec3::from(free));
         let off = hx.distance(free);
-        assert!(
-            off <= 8.0 * eps(real) * hx.length(),
-            "{what}: {hx} is not free"
-        );
+        assert!(off <= 8.0 * eps(real) * hx.length(), "{what}: {hx} is not free");
     }
     for (at, held) in case.solids.prescribed.as_flattened().iter().enumerate() {
         assert!(!held || hx[at] == 0.0, "{what}: component {at} moves");
@@ -614,11 +515,7 @@ fn the_polynomial_is_the_same_in_one_workgroup() {
     // A second body of more than a workgroup's rows makes all steps dispatches.
     let low = DVec3::new(0.1, 0.1, 1.0);
     let other = lattice(low, DVec3::splat(0.8), [7, 7, 7]);
-    let beam = lattice(
-        DVec3::new(0.43, 0.47, 0.24),
-        DVec3::new(0.08, 0.08, 0.56),
-        [2, 2, 14],
-    );
+    let beam = lattice(DVec3::new(0.43, 0.47, 0.24), DVec3::new(0.08, 0.08, 0.56), [2, 2, 14]);
     let mut both = SolidCase::new("both", solids(&[(beam, RUBBER), (other, RUBBER)]));
     let n = small.solids.rest.len();
     both.displacement[..n].copy_from_slice(&small.displacement);
@@ -631,19 +528,12 @@ fn the_polynomial_is_the_same_in_one_workgroup() {
         let in_one = Device::holding(gpu, &small, &solver);
         let one_by_one = Device::holding(gpu, &both, &solver);
         // The other body may need a higher degree or bound; the rows of the beam see only the polynomial.
-        let device = Device {
-            polynomial: in_one.polynomial,
-            ..one_by_one
-        };
+        let device = Device { polynomial: in_one.polynomial, ..one_by_one };
         let (a, b) = (in_one.precondition(&r), device.precondition(&r_both));
         let inner = variant(gpu.has_f64(), solver.precision).inner;
         let bound = 64.0 * eps(inner) * norm(&a);
         for (a, b) in a.iter().zip(&b) {
-            assert!(
-                (a - b).abs() <= bound,
-                "{:?}: {a} and {b}",
-                solver.precision
-            );
+            assert!((a - b).abs() <= bound, "{:?}: {a} and {b}", solver.precision);
         }
         assert!(b[3 * n..].iter().all(|&z| z == 0.0), "the other body moves");
     }
@@ -655,10 +545,7 @@ fn a_large_solid_converges() {
     let Some(gpu) = gpu() else { return };
     let mesh = lattice(DVec3::splat(0.1), DVec3::splat(1.0), [25; 3]);
     let case = SolidCase::new("large", solids(&[(mesh, RUBBER)])).shaken(1e-3, 1.0);
-    let case = SolidCase {
-        dt: f64::from(1e-3_f32),
-        ..case
-    };
+    let case = SolidCase { dt: f64::from(1e-3_f32), ..case };
     let solver = Solver::default();
     let device = Device::holding(gpu, &case, &solver);
     assert_solution("large", &case, &twin(&case, &device), &device, &solver);
@@ -671,11 +558,7 @@ fn a_limit_is_told_with_the_true_residual() {
     let case = hanging([4, 4, 28], RUBBER, 1.0 / 24.0);
     let mut last = f64::INFINITY;
     for max_iterations in 1..=7 {
-        let solver = Solver {
-            max_iterations,
-            tolerance: 1e-12,
-            ..Solver::default()
-        };
+        let solver = Solver { max_iterations, tolerance: 1e-12, ..Solver::default() };
         let device = Device::holding(gpu, &case, &solver);
         let twin = twin(&case, &device);
         let (outcome, velocity) = device.solve();
@@ -683,8 +566,7 @@ fn a_limit_is_told_with_the_true_residual() {
         assert_eq!(outcome.iterations, max_iterations);
         let unknowns = twin.free_part(&nodes(&velocity));
         let residual = norm(&twin.residual(&unknowns)) / norm(&twin.rhs);
-        let coarse = 32.0 * eps(device.fields.velocity.real) * norm(&magnitudes(&twin, &velocity))
-            / norm(&twin.rhs);
+        let coarse = 32.0 * eps(device.fields.velocity.real) * norm(&magnitudes(&twin, &velocity)) / norm(&twin.rhs);
         assert!(
             (residual - outcome.residual).abs() <= 1e-3 * residual + coarse,
             "{max_iterations}: {residual:e}, reported {:e}",

@@ -7,9 +7,7 @@ use cutwater::gpu::{Buffer, Gpu, Real, RealBuffer, Recorder};
 use cutwater::grid::{Axis, Grid, Padded};
 use cutwater::linalg::{LinearOperator, conjugate_gradient, dot, norm};
 use cutwater::reference::base_block::{BaseBlock, DENSITY, DT, THETA_FLOOR};
-use cutwater::reference::{
-    ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct,
-};
+use cutwater::reference::{ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct};
 use cutwater::scene::{Precision, Preconditioner, Solver};
 use cutwater::solver::{Outcome, PressureSolver};
 use cutwater::stages::{Components, Everywhere, PressureSystem, Seal};
@@ -47,13 +45,7 @@ impl Case {
             grid,
             open,
             liquid_distance: (0..grid.n_cells())
-                .map(|cell| {
-                    if liquid(grid.cell_at(cell)) {
-                        -0.05
-                    } else {
-                        0.05
-                    }
-                })
+                .map(|cell| if liquid(grid.cell_at(cell)) { -0.05 } else { 0.05 })
                 .collect(),
             velocity: Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]),
             rhs: vec![0.0; grid.n_cells()],
@@ -73,9 +65,7 @@ impl Case {
     /// A random right-hand side.
     pub(crate) fn random_rhs(mut self, seed: u64) -> Case {
         let mut random = Random(seed);
-        self.rhs
-            .iter_mut()
-            .for_each(|b| *b = random.uniform(-1.0, 1.0));
+        self.rhs.iter_mut().for_each(|b| *b = random.uniform(-1.0, 1.0));
         self
     }
 
@@ -176,14 +166,7 @@ impl<'a> Device<'a> {
 
     fn pressure(&self) -> &PressureSolver {
         self.pressure.get_or_init(|| {
-            let Device {
-                gpu,
-                buffers,
-                velocity,
-                open,
-                solver,
-                ..
-            } = self;
+            let Device { gpu, buffers, velocity, open, solver, .. } = self;
             PressureSolver::new(gpu, buffers, velocity, open, solver).unwrap()
         })
     }
@@ -199,9 +182,7 @@ impl<'a> Device<'a> {
         buffers.rhs.upload(self.gpu, &self.rhs);
         let mut recorder = Recorder::timed(self.gpu);
         let within = self.everywhere.within();
-        recorder.stage(Stage::ActiveCells.name(), |pass| {
-            self.system.record(pass, buffers, within)
-        });
+        recorder.stage(Stage::ActiveCells.name(), |pass| self.system.record(pass, buffers, within));
         recorder.stage(Stage::ClosedComponents.name(), |pass| {
             self.components.label(pass, buffers, seal);
             self.components.remove_means(pass);
@@ -211,14 +192,9 @@ impl<'a> Device<'a> {
 
     /// The solve, with the potential's means over closed components taken out.
     pub(crate) fn solve(&self) -> Solved {
-        let (outcome, _) = self
-            .pressure()
-            .solve(self.gpu, self.prepare(), &self.buffers)
-            .unwrap();
+        let (outcome, _) = self.pressure().solve(self.gpu, self.prepare(), &self.buffers).unwrap();
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage(Stage::ClosedComponents.name(), |pass| {
-            self.components.centre_potential(pass)
-        });
+        recorder.stage(Stage::ClosedComponents.name(), |pass| self.components.centre_potential(pass));
         recorder.submit();
         let potential = self.cells(&self.buffers.potential);
         Solved { outcome, potential }
@@ -234,9 +210,7 @@ impl<'a> Device<'a> {
     /// H r, likewise.
     fn precondition(&self, twin: &Stencil, r: &[f64]) -> Vec<f64> {
         let padded = self.padded.pad(self.cells, r, |value| value);
-        let answer = self
-            .pressure()
-            .precondition(self.gpu, &self.buffers, &padded);
+        let answer = self.pressure().precondition(self.gpu, &self.buffers, &padded);
         self.active_part(twin, &answer.unwrap())
     }
 
@@ -269,10 +243,7 @@ fn block_case(n: usize) -> Case {
     let block = BaseBlock::new(n);
     let rhs = block.pressure_system().rhs;
     Case {
-        rhs: rhs
-            .iter()
-            .map(|value| value / block.grid.dx.powi(2))
-            .collect(),
+        rhs: rhs.iter().map(|value| value / block.grid.dx.powi(2)).collect(),
         grid: block.grid,
         open: block.open,
         liquid_distance: block.liquid_distance,
@@ -281,9 +252,7 @@ fn block_case(n: usize) -> Case {
 }
 
 pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
-    values
-        .into_iter()
-        .fold(0.0, |max, value| value.abs().max(max))
+    values.into_iter().fold(0.0, |max, value| value.abs().max(max))
 }
 
 #[test]
@@ -295,50 +264,21 @@ fn base_block_agrees_with_the_direct_solve() {
     }
     for (precision, bound) in precisions {
         for preconditioner in [Preconditioner::Multigrid, Preconditioner::Jacobi] {
-            let tolerance = if precision == Precision::F32 {
-                1e-4
-            } else {
-                1e-8
-            };
-            let solver = Solver {
-                precision,
-                preconditioner,
-                tolerance,
-                max_iterations: 1000,
-                ..Solver::default()
-            };
+            let tolerance = if precision == Precision::F32 { 1e-4 } else { 1e-8 };
+            let solver = Solver { precision, preconditioner, tolerance, max_iterations: 1000, ..Solver::default() };
             let block = BaseBlock::new(20);
             let solved = Device::holding(gpu, &block_case(20), &solver).solve();
             let case = format!("{precision:?} {preconditioner:?}");
             assert_eq!(solved.outcome.status, SolveStatus::Converged, "{case}");
-            assert!(
-                solved.outcome.verified && solved.outcome.residual <= tolerance,
-                "{case}: {:?}",
-                solved.outcome
-            );
+            assert!(solved.outcome.verified && solved.outcome.residual <= tolerance, "{case}: {:?}", solved.outcome);
             let system = block.pressure_system();
-            assert_eq!(
-                solved.outcome.unknowns as usize,
-                system.n_unknowns(),
-                "{case}: unknowns"
-            );
-            let exact = Solver {
-                tolerance: 1e-12,
-                ..Solver::default()
-            };
+            assert_eq!(solved.outcome.unknowns as usize, system.n_unknowns(), "{case}: unknowns");
+            let exact = Solver { tolerance: 1e-12, ..Solver::default() };
             let (direct, _) = solve_direct(&system, &exact).unwrap();
             let to_potential = DT / (DENSITY * block.grid.dx);
             let scale = largest(direct.iter().map(|p| p * to_potential));
-            let difference = largest(
-                direct
-                    .iter()
-                    .zip(&solved.potential)
-                    .map(|(p, x)| p * to_potential - x),
-            );
-            assert!(
-                difference <= bound * scale,
-                "{case}: {difference:e} of {scale:e}"
-            );
+            let difference = largest(direct.iter().zip(&solved.potential).map(|(p, x)| p * to_potential - x));
+            assert!(difference <= bound * scale, "{case}: {difference:e} of {scale:e}");
         }
     }
 }
@@ -349,22 +289,12 @@ fn iterations_hardly_grow_with_the_grid() {
     let iterations = [20, 40, 60, 80, 100].map(|n| {
         let solved = Device::holding(gpu, &block_case(n), &Solver::default()).solve();
         assert_eq!(solved.outcome.status, SolveStatus::Converged, "{n}^3");
-        assert!(
-            solved.outcome.residual <= 1e-8,
-            "{n}^3: {:?}",
-            solved.outcome
-        );
+        assert!(solved.outcome.residual <= 1e-8, "{n}^3: {:?}", solved.outcome);
         solved.outcome.iterations
     });
-    let (least, most) = (
-        iterations.iter().min().unwrap(),
-        iterations.iter().max().unwrap(),
-    );
+    let (least, most) = (iterations.iter().min().unwrap(), iterations.iter().max().unwrap());
     assert!(*most <= 20, "{iterations:?}");
-    assert!(
-        f64::from(*most) <= 1.6 * f64::from(*least),
-        "{iterations:?}"
-    );
+    assert!(f64::from(*most) <= 1.6 * f64::from(*least), "{iterations:?}");
 }
 
 /// In f32 the rounding of the unknowns leaves more than a tolerance asks for; that passes, as the smallest residual there is.
@@ -385,9 +315,7 @@ fn single_precision_ends_at_its_own_rounding() {
                     ..Solver::default()
                 };
                 let case = block_case(n);
-                let Solved {
-                    outcome, potential, ..
-                } = Device::holding(gpu, &case, &solver).solve();
+                let Solved { outcome, potential, .. } = Device::holding(gpu, &case, &solver).solve();
                 let what = format!("{preconditioner:?} {n}^3 {tolerance:e}: {outcome:?}");
                 assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
                 assert!(outcome.verified, "{what}");
@@ -453,63 +381,20 @@ fn hard_cases() -> Vec<(&'static str, Case, u32)> {
         ("droplets", scattered([15, 14, 13], 0.2, 1), 16),
         ("sponge", scattered([15, 14, 13], 0.7, 2), 16),
         ("pool", pool([21, 18, 13]), 16),
-        (
-            "tiny and large theta",
-            random_distances(pool([16, 15, 14]), 3),
-            20,
-        ),
-        (
-            "scattered, tiny and large theta",
-            random_distances(scattered([12, 13, 14], 0.5, 4), 4),
-            16,
-        ),
+        ("tiny and large theta", random_distances(pool([16, 15, 14]), 3), 20),
+        ("scattered, tiny and large theta", random_distances(scattered([12, 13, 14], 0.5, 4), 4), 16),
         ("slivers", slivers(pool([14, 15, 16]), 5), 28),
-        (
-            "slivers of slivers",
-            random_distances(slivers(scattered([13, 13, 13], 0.6, 6), 6), 6),
-            18,
-        ),
-        (
-            "channel along x",
-            Case::new([70, 1, 1], |[i, _, _]| i < 65),
-            25,
-        ),
-        (
-            "channel along y",
-            Case::new([1, 70, 1], |[_, j, _]| j < 65),
-            25,
-        ),
-        (
-            "channel along z",
-            Case::new([1, 1, 70], |[_, _, k]| k < 65),
-            25,
-        ),
-        (
-            "slab along x and z",
-            Case::new([30, 1, 29], |[i, _, k]| i + k < 50),
-            20,
-        ),
-        (
-            "slab along x and y",
-            Case::new([30, 29, 1], |[i, j, _]| i + j < 50),
-            20,
-        ),
-        (
-            "slab along y and z",
-            Case::new([1, 30, 29], |[_, j, k]| j + k < 50),
-            20,
-        ),
+        ("slivers of slivers", random_distances(slivers(scattered([13, 13, 13], 0.6, 6), 6), 6), 18),
+        ("channel along x", Case::new([70, 1, 1], |[i, _, _]| i < 65), 25),
+        ("channel along y", Case::new([1, 70, 1], |[_, j, _]| j < 65), 25),
+        ("channel along z", Case::new([1, 1, 70], |[_, _, k]| k < 65), 25),
+        ("slab along x and z", Case::new([30, 1, 29], |[i, _, k]| i + k < 50), 20),
+        ("slab along x and y", Case::new([30, 29, 1], |[i, j, _]| i + j < 50), 20),
+        ("slab along y and z", Case::new([1, 30, 29], |[_, j, k]| j + k < 50), 20),
         ("narrow and high", pool([3, 50, 7]), 16),
-        (
-            "full but for one cell",
-            Case::new([17, 9, 12], |at| at != [16, 8, 0]),
-            18,
-        ),
+        ("full but for one cell", Case::new([17, 9, 12], |at| at != [16, 8, 0]), 18),
     ];
-    cases
-        .into_iter()
-        .map(|(name, case, most)| (name, case.random_rhs(11), most))
-        .collect()
+    cases.into_iter().map(|(name, case, most)| (name, case.random_rhs(11), most)).collect()
 }
 
 /// The precisions that the adapter has.
@@ -522,15 +407,7 @@ fn precisions(gpu: &Gpu) -> Vec<Precision> {
 }
 
 fn settings(precision: Precision) -> Solver {
-    Solver {
-        precision,
-        tolerance: if precision == Precision::F32 {
-            1e-4
-        } else {
-            1e-8
-        },
-        ..Solver::default()
-    }
+    Solver { precision, tolerance: if precision == Precision::F32 { 1e-4 } else { 1e-8 }, ..Solver::default() }
 }
 
 /// Operator and V-cycle against the f64 path, their symmetry and positivity.
@@ -563,17 +440,11 @@ fn assert_operators(what: &str, case: &Case, device: &Device, precision: Precisi
             expected[cell]
         );
     }
-    let (hx, hy) = (
-        device.precondition(&twin, &x),
-        device.precondition(&twin, &y),
-    );
+    let (hx, hy) = (device.precondition(&twin, &x), device.precondition(&twin, &y));
     Multigrid::new(&twin).apply(&x, &mut expected);
     let difference = largest(hx.iter().zip(&expected).map(|(a, b)| a - b));
     let scale = largest(expected.iter().copied());
-    assert!(
-        difference <= 100.0 * single * scale,
-        "{what}: H x: {difference:e} of {scale:e}"
-    );
+    assert!(difference <= 100.0 * single * scale, "{what}: H x: {difference:e} of {scale:e}");
     for (name, ax, ay) in [("B", bx, by), ("H", hx, hy)] {
         let (left, right) = (dot(&ax, &y), dot(&x, &ay));
         assert!(
@@ -591,10 +462,7 @@ fn hard_systems_have_the_twins_operators_and_solutions() {
     let Some(gpu) = gpu() else { return };
     for (name, case, most) in hard_cases() {
         let system = case.twin_system();
-        let exact = Solver {
-            tolerance: 1e-12,
-            ..Solver::default()
-        };
+        let exact = Solver { tolerance: 1e-12, ..Solver::default() };
         let (direct, _) = solve_direct(&system, &exact).unwrap();
         for precision in precisions(gpu) {
             let solver = settings(precision);
@@ -604,10 +472,7 @@ fn hard_systems_have_the_twins_operators_and_solutions() {
             let outcome = solved.outcome;
             let what = format!("{name} {precision:?}: {outcome:?}");
             assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
-            assert!(
-                outcome.verified && outcome.residual <= solver.tolerance,
-                "{what}"
-            );
+            assert!(outcome.verified && outcome.residual <= solver.tolerance, "{what}");
             assert!(outcome.iterations <= most, "{what}");
             assert_eq!(outcome.unknowns as usize, system.n_unknowns(), "{what}");
             // In the norm that conjugate gradients minimise.
@@ -644,15 +509,7 @@ fn an_earlier_system_leaves_nothing_behind() {
     let column = Case::new(cells, |[i, _, k]| i > 15 && k > 7).random_rhs(6);
     for precision in precisions(gpu) {
         let mut used = Device::new(gpu, cells, &settings(precision));
-        for case in [
-            &pool(17),
-            &column,
-            &pool(3),
-            &air,
-            &scattered(cells, 0.3, 9).random_rhs(7),
-            &pool(18),
-            &column,
-        ] {
+        for case in [&pool(17), &column, &pool(3), &air, &scattered(cells, 0.3, 9).random_rhs(7), &pool(18), &column] {
             used.load(case);
             let fresh = Device::holding(gpu, case, &settings(precision));
             let [(used, device), (new, _)] = [(used.solve(), &used), (fresh.solve(), &fresh)];
@@ -666,10 +523,7 @@ fn an_earlier_system_leaves_nothing_behind() {
                 let SolverBuffers { flags, matrix, .. } = &device.buffers;
                 [flags, &matrix.words].map(|words| gpu.download(words).unwrap())
             };
-            assert!(
-                words(device) == words(&fresh),
-                "{precision:?}: flags, matrix"
-            );
+            assert!(words(device) == words(&fresh), "{precision:?}: flags, matrix");
         }
     }
 }
@@ -684,19 +538,11 @@ fn nothing_to_solve_is_solved_by_zero() {
     let mut dead_air = pool();
     // A right-hand side where there is no liquid is none.
     for (cell, b) in dead_air.rhs.iter_mut().enumerate() {
-        *b = if dead_air.liquid_distance[cell] < 0.0 {
-            0.0
-        } else {
-            1.0
-        };
+        *b = if dead_air.liquid_distance[cell] < 0.0 { 0.0 } else { 1.0 };
     }
     let mut rounding = pool().random_rhs(2);
     rounding.rhs.iter_mut().for_each(|b| *b *= 1e-15);
-    rounding
-        .velocity
-        .iter_mut()
-        .flatten()
-        .for_each(|u| *u = 10.0);
+    rounding.velocity.iter_mut().flatten().for_each(|u| *u = 10.0);
     for precision in precisions(gpu) {
         for (name, case, unknowns) in [
             ("zero", &pool(), 10 * 5 * 8),
@@ -723,15 +569,10 @@ fn a_solution_is_recognised_and_a_limit_is_told() {
     let Some(gpu) = gpu() else { return };
     let case = Case::new([24, 20, 16], |[_, j, _]| j < 15).random_rhs(3);
     for precision in precisions(gpu) {
-        let full = Device::holding(gpu, &case, &settings(precision))
-            .solve()
-            .outcome;
+        let full = Device::holding(gpu, &case, &settings(precision)).solve().outcome;
         let mut last = 1.0;
         for limit in [1, 2, full.iterations / 2] {
-            let solver = Solver {
-                max_iterations: limit,
-                ..settings(precision)
-            };
+            let solver = Solver { max_iterations: limit, ..settings(precision) };
             let solved = Device::holding(gpu, &case, &solver).solve();
             let outcome = solved.outcome;
             assert_eq!(
@@ -746,30 +587,16 @@ fn a_solution_is_recognised_and_a_limit_is_told() {
             assert!(largest(solved.potential) > 0.0, "the best iterate is kept");
             last = outcome.residual;
         }
-        let enough = Solver {
-            max_iterations: full.iterations,
-            ..settings(precision)
-        };
+        let enough = Solver { max_iterations: full.iterations, ..settings(precision) };
         let outcome = Device::holding(gpu, &case, &enough).solve().outcome;
-        assert_eq!(
-            outcome.status,
-            SolveStatus::Converged,
-            "{precision:?}: {outcome:?}"
-        );
+        assert_eq!(outcome.status, SolveStatus::Converged, "{precision:?}: {outcome:?}");
         // So few iterations of Jacobi make it worse: what is kept is the start, and the limit is what ended the solve.
         for limit in [1, 2, 3] {
-            let solver = Solver {
-                max_iterations: limit,
-                preconditioner: Preconditioner::Jacobi,
-                ..settings(precision)
-            };
+            let solver =
+                Solver { max_iterations: limit, preconditioner: Preconditioner::Jacobi, ..settings(precision) };
             let solved = Device::holding(gpu, &case, &solver).solve();
             let outcome = solved.outcome;
-            assert_eq!(
-                outcome.status,
-                SolveStatus::IterationLimit,
-                "{precision:?}: {outcome:?}"
-            );
+            assert_eq!(outcome.status, SolveStatus::IterationLimit, "{precision:?}: {outcome:?}");
             assert!(outcome.residual <= 1.0, "{precision:?}: {outcome:?}");
         }
     }
@@ -806,42 +633,19 @@ fn a_limit_of_iterations_leaves_the_iterate_of_the_twin() {
             Precision::F32 | Precision::Mixed => ([6, 24], 1e-4, 1e-6),
         };
         let [multigrid, diagonal]: [&dyn LinearOperator; 2] = [&multigrid, &diagonal];
-        let cases = [
-            (Preconditioner::Multigrid, multigrid, most[0]),
-            (Preconditioner::Jacobi, diagonal, most[1]),
-        ];
+        let cases = [(Preconditioner::Multigrid, multigrid, most[0]), (Preconditioner::Jacobi, diagonal, most[1])];
         for (preconditioner, twin, most) in cases {
             for limit in 1..=most {
-                let solver = Solver {
-                    precision,
-                    preconditioner,
-                    tolerance,
-                    max_iterations: limit,
-                    ..Solver::default()
-                };
+                let solver =
+                    Solver { precision, preconditioner, tolerance, max_iterations: limit, ..Solver::default() };
                 let solved = Device::holding(gpu, &case, &solver).solve();
                 let what = format!("{precision:?} {preconditioner:?} {limit}");
                 assert_eq!(solved.outcome.iterations, limit, "{what}: iterations");
                 assert_eq!(solved.outcome.refinements, 1, "{what}: rounds");
                 let mut x = vec![0.0; case.rhs.len()];
-                conjugate_gradient(
-                    &system.stencil,
-                    twin,
-                    &system.rhs,
-                    &mut x,
-                    0.0,
-                    limit as usize,
-                );
-                let difference: Vec<f64> = x
-                    .iter()
-                    .zip(&solved.potential)
-                    .map(|(a, b)| a - b)
-                    .collect();
-                assert!(
-                    norm(&difference) <= bound * norm(&x),
-                    "{what}: {:e}",
-                    norm(&difference) / norm(&x)
-                );
+                conjugate_gradient(&system.stencil, twin, &system.rhs, &mut x, 0.0, limit as usize);
+                let difference: Vec<f64> = x.iter().zip(&solved.potential).map(|(a, b)| a - b).collect();
+                assert!(norm(&difference) <= bound * norm(&x), "{what}: {:e}", norm(&difference) / norm(&x));
             }
         }
     }
@@ -853,17 +657,10 @@ fn a_limit_of_iterations_leaves_the_iterate_of_the_twin() {
 fn a_breakdown_is_told() {
     let Some(gpu) = gpu() else { return };
     // No quad takes its weights from its level.
-    let case = Case::new([10, 9, 8], |[_, j, _]| j < 5)
-        .narrow(|_, _| 0.5)
-        .random_rhs(5);
+    let case = Case::new([10, 9, 8], |[_, j, _]| j < 5).narrow(|_, _| 0.5).random_rhs(5);
     for precision in precisions(gpu) {
-        for (preconditioner, iterations) in
-            [(Preconditioner::Multigrid, 0), (Preconditioner::Jacobi, 1)]
-        {
-            let solver = Solver {
-                preconditioner,
-                ..settings(precision)
-            };
+        for (preconditioner, iterations) in [(Preconditioner::Multigrid, 0), (Preconditioner::Jacobi, 1)] {
+            let solver = Solver { preconditioner, ..settings(precision) };
             let device = Device::holding(gpu, &case, &solver);
             device.prepare().submit();
             let matrix = &device.buffers.matrix;
@@ -909,14 +706,8 @@ fn numbers_that_are_not_finite_are_told() {
         for precision in precisions(gpu) {
             let mut case = Case::new([8, 8, 8], |[_, j, _]| j < 5).random_rhs(3);
             case.rhs[100] = poison;
-            let outcome = Device::holding(gpu, &case, &settings(precision))
-                .solve()
-                .outcome;
-            assert_eq!(
-                outcome.status,
-                SolveStatus::NonFinite,
-                "{poison} {precision:?}: {outcome:?}"
-            );
+            let outcome = Device::holding(gpu, &case, &settings(precision)).solve().outcome;
+            assert_eq!(outcome.status, SolveStatus::NonFinite, "{poison} {precision:?}: {outcome:?}");
         }
     }
 }
@@ -927,9 +718,7 @@ fn numbers_that_are_not_finite_are_told() {
 fn long_sums_are_the_short_ones() {
     let Some(gpu) = gpu() else { return };
     let droplets = |cells: [usize; 3]| {
-        let mut case = Case::new(cells, |[i, j, k]| {
-            i < 12 && j < 10 && k < 8 && (i * j + k) % 5 < 3
-        });
+        let mut case = Case::new(cells, |[i, j, k]| i < 12 && j < 10 && k < 8 && (i * j + k) % 5 < 3);
         for cell in 0..case.rhs.len() {
             let [i, j, k] = case.grid.cell_at(cell);
             case.rhs[cell] = (i as f64).sin() + (j as f64 * 0.7).cos() - (k as f64 * 0.3).sin();
@@ -937,54 +726,24 @@ fn long_sums_are_the_short_ones() {
         case
     };
     let (small, large) = ([16, 12, 10], [72, 60, 20]);
-    assert!(
-        Grid {
-            cells: small,
-            dx: 0.1
-        }
-        .padded()
-        .quads
-            < 16_384,
-        "short sums"
-    );
-    assert!(
-        Grid {
-            cells: large,
-            dx: 0.1
-        }
-        .padded()
-        .quads
-            > 16_384,
-        "long sums"
-    );
+    assert!(Grid { cells: small, dx: 0.1 }.padded().quads < 16_384, "short sums");
+    assert!(Grid { cells: large, dx: 0.1 }.padded().quads > 16_384, "long sums");
     for precision in precisions(gpu) {
         let [short, long] = [small, large].map(|cells| {
             let case = droplets(cells);
             let solved = Device::holding(gpu, &case, &settings(precision)).solve();
-            assert_eq!(
-                solved.outcome.status,
-                SolveStatus::Converged,
-                "{precision:?}: {:?}",
-                solved.outcome
-            );
+            assert_eq!(solved.outcome.status, SolveStatus::Converged, "{precision:?}: {:?}", solved.outcome);
             let at = |[i, j, k]: [usize; 3]| solved.potential[case.grid.cell([i, j, k])];
-            let block = (0..12 * 10 * 8)
-                .map(|c| at([c % 12, c / 12 % 10, c / 120]))
-                .collect::<Vec<f64>>();
+            let block = (0..12 * 10 * 8).map(|c| at([c % 12, c / 12 % 10, c / 120])).collect::<Vec<f64>>();
             (block, solved.outcome)
         });
         assert_eq!(short.1.unknowns, long.1.unknowns, "{precision:?}");
         let difference = largest(short.0.iter().zip(&long.0).map(|(a, b)| a - b));
         let bound = 100.0 * settings(precision).tolerance * largest(short.0.iter().copied());
-        assert!(
-            difference <= bound,
-            "{precision:?}: {difference:e}, bound {bound:e}"
-        );
+        assert!(difference <= bound, "{precision:?}: {difference:e}, bound {bound:e}");
     }
     let case = Case::new(large, |[_, j, _]| j < 55).random_rhs(5);
-    let outcome = Device::holding(gpu, &case, &Solver::default())
-        .solve()
-        .outcome;
+    let outcome = Device::holding(gpu, &case, &Solver::default()).solve().outcome;
     assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
     assert_eq!(outcome.unknowns, 72 * 55 * 20, "unknowns");
     assert!(outcome.verified && outcome.residual <= 1e-8, "{outcome:?}");
@@ -995,21 +754,11 @@ fn long_sums_are_the_short_ones() {
 fn digest_of_a_solve() {
     let Some(gpu) = gpu() else { return };
     let pool = Case::new([40, 40, 21], |[i, j, k]| i < 13 || (i + j + k) % 17 != 0);
-    let case = slivers(pool, 9)
-        .narrow(wall_around([3, 4, 5], [13, 12, 9]))
-        .random_rhs(9);
+    let case = slivers(pool, 9).narrow(wall_around([3, 4, 5], [13, 12, 9])).random_rhs(9);
     for precision in precisions(gpu) {
-        let solver = Solver {
-            max_iterations: 1000,
-            ..settings(precision)
-        };
+        let solver = Solver { max_iterations: 1000, ..settings(precision) };
         let solved = Device::holding(gpu, &case, &solver).solve();
-        assert_eq!(
-            solved.outcome.status,
-            SolveStatus::Converged,
-            "{:?}",
-            solved.outcome
-        );
+        assert_eq!(solved.outcome.status, SolveStatus::Converged, "{:?}", solved.outcome);
         assert!(solved.outcome.closed_components > 0, "{:?}", solved.outcome);
         println!(
             "digest of {precision:?}: {} iterations, {:016x}",

@@ -15,14 +15,7 @@ use serde_json::Value;
 use crate::output::python_with;
 
 /// Corner numbers of the sides of a box, whose corners count x first.
-const SIDES: [[usize; 4]; 6] = [
-    [0, 4, 6, 2],
-    [1, 3, 7, 5],
-    [0, 1, 5, 4],
-    [2, 6, 7, 3],
-    [0, 2, 3, 1],
-    [4, 5, 7, 6],
-];
+const SIDES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
 
 /// A pillar of 0.2 x 0.6 x 0.2 m.
 fn pillar() -> Surface {
@@ -33,10 +26,7 @@ fn pillar() -> Surface {
 fn read(name: &str, bytes: impl AsRef<[u8]>) -> Result<Surface, String> {
     parse_mesh(bytes.as_ref().to_vec(), Path::new(name)).map_err(|error| {
         let text = error.to_string();
-        assert!(
-            error.exit_code() == 2 && text.contains("\n  cure: "),
-            "{text}"
-        );
+        assert!(error.exit_code() == 2 && text.contains("\n  cure: "), "{text}");
         text
     })
 }
@@ -47,17 +37,10 @@ fn assert_pillar(name: &str, bytes: impl AsRef<[u8]>) {
     assert_eq!(surface.vertices.len(), 8, "{name}");
     assert_eq!(surface.triangles.len(), 12, "{name}");
     // Coordinates of single precision are off by 3e-8.
-    assert!(
-        (surface.volume() - 0.024).abs() < 2e-8,
-        "{name}: {}",
-        surface.volume()
-    );
+    assert!((surface.volume() - 0.024).abs() < 2e-8, "{name}: {}", surface.volume());
     let [low, high] = surface.bounds();
     let expected = pillar().bounds();
-    assert!(
-        low.distance(expected[0]) + high.distance(expected[1]) < 1e-7,
-        "{name}"
-    );
+    assert!(low.distance(expected[0]) + high.distance(expected[1]) < 1e-7, "{name}");
 }
 
 fn assert_refused(name: &str, bytes: impl AsRef<[u8]>, words: &[&str]) {
@@ -71,13 +54,8 @@ fn assert_refused(name: &str, bytes: impl AsRef<[u8]>, words: &[&str]) {
 
 fn facets(surface: &Surface, normal: &str) -> String {
     let facet = |number| {
-        let vertices = surface
-            .corners(number)
-            .map(|x| format!("   vertex {} {} {}\n", x.x, x.y, x.z));
-        format!(
-            " facet normal {normal}\n  outer loop\n{}  endloop\n endfacet\n",
-            vertices.concat()
-        )
+        let vertices = surface.corners(number).map(|x| format!("   vertex {} {} {}\n", x.x, x.y, x.z));
+        format!(" facet normal {normal}\n  outer loop\n{}  endloop\n endfacet\n", vertices.concat())
     };
     (0..surface.triangles.len()).map(facet).collect()
 }
@@ -89,11 +67,7 @@ fn binary_stl(surface: &Surface, header: &[u8]) -> Vec<u8> {
     for number in 0..surface.triangles.len() {
         bytes.extend([0; 12]);
         for x in surface.corners(number) {
-            bytes.extend(
-                x.to_array()
-                    .into_iter()
-                    .flat_map(|x| (x as f32).to_le_bytes()),
-            );
+            bytes.extend(x.to_array().into_iter().flat_map(|x| (x as f32).to_le_bytes()));
         }
         bytes.extend([0, 0]);
     }
@@ -110,77 +84,42 @@ fn text_stl_of_many_programs_is_read() {
         ("indented", whole("\n  solid pillar\n")),
         ("tab", whole("solid\tpillar\n")),
         ("mark", whole("\u{feff}solid pillar\n")),
-        (
-            "keywords in the name",
-            whole("solid outer loop of facet 1 endsolid\n"),
-        ),
+        ("keywords in the name", whole("solid outer loop of facet 1 endsolid\n")),
         ("crlf", whole("solid\n").replace('\n', "\r\n")),
         ("cr", whole("solid pillar\n").replace('\n', "\r")),
         ("capitals", whole("solid pillar\n").to_uppercase()),
         ("one line", whole("solid pillar\n").replace('\n', " ")),
         ("blank lines", whole("solid pillar\n").replace('\n', "\n\n")),
-        (
-            "nan",
-            whole("solid\n").replace("0 0 0\n  outer", "nan nan nan\n  outer"),
-        ),
-        (
-            "nan of Windows",
-            whole("solid\n").replace("normal 0 0 0", "normal -1.#IND 0 -nan(ind)"),
-        ),
+        ("nan", whole("solid\n").replace("0 0 0\n  outer", "nan nan nan\n  outer")),
+        ("nan of Windows", whole("solid\n").replace("normal 0 0 0", "normal -1.#IND 0 -nan(ind)")),
         ("no normals", whole("solid\n").replace(" normal 0 0 0", "")),
-        (
-            "no newline at the end",
-            whole("solid\n").trim_end().to_owned(),
-        ),
+        ("no newline at the end", whole("solid\n").trim_end().to_owned()),
     ] {
         assert_pillar(&format!("{name}.stl"), text);
     }
     let latin1 = [b"solid S\xe4ule\n", body.as_bytes(), b"endsolid S\xe4ule\n"].concat();
     assert_pillar("latin1.stl", latin1);
     // Loops of four corners are no STL and are written.
-    let corners: Vec<String> = (pillar().vertices.iter())
-        .map(|x| format!("vertex {} {} {}\n", x.x, x.y, x.z))
-        .collect();
+    let corners: Vec<String> =
+        (pillar().vertices.iter()).map(|x| format!("vertex {} {} {}\n", x.x, x.y, x.z)).collect();
     let quads = SIDES.map(|side| {
         let vertices = side.map(|corner| corners[corner].clone()).concat();
         format!("facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
     });
     assert_pillar("quads.stl", format!("solid\n{}endsolid\n", quads.concat()));
-    for header in [
-        &b"solid of a program"[..],
-        b"\xff\xfe",
-        b"\xef\xbb\xbfsolid\n",
-    ] {
+    for header in [&b"solid of a program"[..], b"\xff\xfe", b"\xef\xbb\xbfsolid\n"] {
         assert_pillar("binary.stl", binary_stl(&pillar(), header));
     }
-    assert_pillar(
-        "binary_newline.stl",
-        [binary_stl(&pillar(), b""), b"\r\n".to_vec()].concat(),
-    );
+    assert_pillar("binary_newline.stl", [binary_stl(&pillar(), b""), b"\r\n".to_vec()].concat());
 
-    let utf16: Vec<u8> = [0xff, 0xfe]
-        .into_iter()
-        .chain(whole("solid\n").bytes().flat_map(|byte| [byte, 0]))
-        .collect();
+    let utf16: Vec<u8> = [0xff, 0xfe].into_iter().chain(whole("solid\n").bytes().flat_map(|byte| [byte, 0])).collect();
     assert_refused("utf16.stl", utf16, &["UTF-16"]);
     let comma = whole("solid\n").replace("0.4 ", "0,4 ");
-    assert_refused(
-        "comma.stl",
-        comma,
-        &["comma.stl:4:", "`0,4` is not a number", "with a point"],
-    );
+    assert_refused("comma.stl", comma, &["comma.stl:4:", "`0,4` is not a number", "with a point"]);
     let early = whole("solid\n").replace("endsolid", "");
     assert_refused("early.stl", early, &["the file ends", "`endsolid`"]);
-    assert_refused(
-        "late.stl",
-        whole("solid\n") + "and more\n",
-        &["`and` where `solid` belongs"],
-    );
-    assert_refused(
-        "two.stl",
-        whole("solid\n").replace("endloop", ""),
-        &["facet 1", "`endloop`"],
-    );
+    assert_refused("late.stl", whole("solid\n") + "and more\n", &["`and` where `solid` belongs"]);
+    assert_refused("two.stl", whole("solid\n").replace("endloop", ""), &["facet 1", "`endloop`"]);
     assert_refused("headless.stl", body, &["not an STL file", "`solid`"]);
 }
 
@@ -188,28 +127,15 @@ fn text_stl_of_many_programs_is_read() {
 fn all_solids_of_an_stl_are_read() {
     let left = Surface::cuboid(DVec3::new(0.2, 0.0, 0.4), DVec3::new(0.4, 0.6, 0.6));
     let right = left.clone().map(|x| x + DVec3::X);
-    let solid = |name: &str, surface: &Surface| {
-        format!(
-            "solid {name}\n{}endsolid {name}\n",
-            facets(surface, "0 0 0")
-        )
-    };
-    let part = |triangles: &[[u32; 3]]| Surface {
-        triangles: triangles.to_vec(),
-        ..left.clone()
-    };
-    let patches = solid("floor", &part(&left.triangles[..4]))
-        + "\n"
-        + &solid("rest", &part(&left.triangles[4..]));
+    let solid = |name: &str, surface: &Surface| format!("solid {name}\n{}endsolid {name}\n", facets(surface, "0 0 0"));
+    let part = |triangles: &[[u32; 3]]| Surface { triangles: triangles.to_vec(), ..left.clone() };
+    let patches = solid("floor", &part(&left.triangles[..4])) + "\n" + &solid("rest", &part(&left.triangles[4..]));
     assert!((read("patches.stl", patches).unwrap().volume() - 0.024).abs() < 2e-8);
     let text = solid("left", &left) + &solid("right", &right);
     let one_line = text.replace('\n', " ");
     let binary = [binary_stl(&left, b""), binary_stl(&right, b"solid")].concat();
     let both = read("text.stl", &text).unwrap();
-    for (name, bytes) in [
-        ("one_line.stl", one_line.as_bytes()),
-        ("binary.stl", &binary),
-    ] {
+    for (name, bytes) in [("one_line.stl", one_line.as_bytes()), ("binary.stl", &binary)] {
         assert_eq!(read(name, bytes).unwrap(), both, "{name}");
     }
     for n in [1, 40, 84, 200] {
@@ -238,13 +164,8 @@ fn all_solids_of_an_stl_are_read() {
 #[test]
 fn obj_of_many_programs_is_read() {
     let pillar = pillar();
-    let position = |end: &str| -> String {
-        pillar
-            .vertices
-            .iter()
-            .map(|x| format!("v {} {}{end}{}\n", x.x, x.y, x.z))
-            .collect()
-    };
+    let position =
+        |end: &str| -> String { pillar.vertices.iter().map(|x| format!("v {} {}{end}{}\n", x.x, x.y, x.z)).collect() };
     let v = position(" ");
     let face = |corner: &dyn Fn(usize) -> String, middle: &str| -> String {
         let face = |side: [usize; 4]| {
@@ -261,109 +182,48 @@ fn obj_of_many_programs_is_read() {
         ("mark", format!("\u{feff}{v}{f}")),
         ("mark and comment", format!("\u{feff}# exported\n{v}{f}")),
         ("joined faces", v.clone() + &face(&plain, " \\\n")),
-        (
-            "joined faces, crlf",
-            (v.clone() + &face(&plain, "\\\n ")).replace('\n', "\r\n"),
-        ),
+        ("joined faces, crlf", (v.clone() + &face(&plain, "\\\n ")).replace('\n', "\r\n")),
         ("joined twice", v.clone() + &face(&plain, " \\\n\\\n")),
         ("spaces behind", v.clone() + &face(&plain, " \\  \n")),
         ("joined vertices", position(" \\\n ") + &f),
         ("joined at the end", format!("{v}{} \\", f.trim_end())),
-        (
-            "a path in a comment",
-            format!("# C:\\bodies\\\n{v}mtllib C:\\\n{f}"),
-        ),
+        ("a path in a comment", format!("# C:\\bodies\\\n{v}mtllib C:\\\n{f}")),
         ("joined names", format!("{v}g one \\\n two three\n{f}")),
-        (
-            "one texture coordinate",
-            format!("{v}vt 0.5\n{}", face(&|c| format!("{}/1", c + 1), " ")),
-        ),
-        (
-            "slashes",
-            v.clone() + &face(&|c| format!("{}/", c + 1), " "),
-        ),
-        (
-            "normals",
-            format!("{v}vn 0 0 1\n{}", face(&|c| format!("{}//1", c + 1), " ")),
-        ),
-        (
-            "relative",
-            v.clone() + &face(&|c| format!("{}", c as i64 - 8), " "),
-        ),
-        (
-            "colours",
-            position(" ").replace('\n', " 0.5 0.5 0.5 1.0\n") + &f,
-        ),
+        ("one texture coordinate", format!("{v}vt 0.5\n{}", face(&|c| format!("{}/1", c + 1), " "))),
+        ("slashes", v.clone() + &face(&|c| format!("{}/", c + 1), " ")),
+        ("normals", format!("{v}vn 0 0 1\n{}", face(&|c| format!("{}//1", c + 1), " "))),
+        ("relative", v.clone() + &face(&|c| format!("{}", c as i64 - 8), " ")),
+        ("colours", position(" ").replace('\n', " 0.5 0.5 0.5 1.0\n") + &f),
         ("comments behind", v.replace('\n', " # here\\\n") + &f),
         ("lines and points", format!("{v}l 1 2 3\np 1\n{f}")),
         ("groups", format!("o a\n{v}g b c\ns off\nusemtl none\n{f}")),
         ("capitals", (v.clone() + &f).to_uppercase()),
         ("cr", (v.clone() + &f).replace('\n', "\r")),
-        (
-            "exponents",
-            v.replace("0.4", "+4.0e-001").replace("0.6", ".6") + &f,
-        ),
-        (
-            "corner twice",
-            format!("{v}{}", f.replace("f 1 5 7 3", "f 1 5 5 7 3 1")),
-        ),
+        ("exponents", v.replace("0.4", "+4.0e-001").replace("0.6", ".6") + &f),
+        ("corner twice", format!("{v}{}", f.replace("f 1 5 7 3", "f 1 5 5 7 3 1"))),
     ] {
         assert_pillar(&format!("{name}.obj"), text);
     }
-    for latin1 in [
-        &b"# S\xe4ule f\xfcr\n"[..],
-        b"g S\xe4ule\n",
-        b"usemtl S\xe4ule\\\n",
-    ] {
+    for latin1 in [&b"# S\xe4ule f\xfcr\n"[..], b"g S\xe4ule\n", b"usemtl S\xe4ule\\\n"] {
         assert_pillar("latin1.obj", [latin1, (v.clone() + &f).as_bytes()].concat());
     }
 
     let replaced = |from: &str, to: &str| (v.clone() + &f).replacen(from, to, 1);
     for (text, words) in [
-        (
-            replaced("v 0.4 0 0.4", "v 0,4 0 0.4"),
-            ["mesh.obj:1:", "`0,4` is not a number (dec"],
-        ),
-        (
-            replaced("v 0.4 0 0.4", "v 0.4 0"),
-            ["mesh.obj:1:", "fewer than three"],
-        ),
-        (
-            replaced("v 0.4 0 0.4", "v 0.4 0\\\n0.4"),
-            ["mesh.obj:1:", "in two"],
-        ),
-        (
-            replaced("f 1 5 7 3", "f 1 5 7 9"),
-            ["mesh.obj:9:", "vertex 9 is out of bounds: 8"],
-        ),
-        (
-            replaced("f 1 5 7 3", "f 1 5 7 0"),
-            ["mesh.obj:9:", "out of bounds"],
-        ),
-        (
-            replaced("f 1 5 7 3", "f 1 5 7 -9"),
-            ["mesh.obj:9:", "out of bounds"],
-        ),
-        (
-            replaced("f 1 5 7 3", "f 1 5"),
-            ["mesh.obj:9:", "fewer than three different corners"],
-        ),
-        (
-            replaced("f 1 5 7 3", "surf 0 1 0 1 1 2 3 4"),
-            ["mesh.obj:9:", "free-form"],
-        ),
-        (
-            replaced("f 1 5 7 3", "face 1 5 7 3"),
-            ["mesh.obj:9:", "no statement of an OBJ file"],
-        ),
+        (replaced("v 0.4 0 0.4", "v 0,4 0 0.4"), ["mesh.obj:1:", "`0,4` is not a number (dec"]),
+        (replaced("v 0.4 0 0.4", "v 0.4 0"), ["mesh.obj:1:", "fewer than three"]),
+        (replaced("v 0.4 0 0.4", "v 0.4 0\\\n0.4"), ["mesh.obj:1:", "in two"]),
+        (replaced("f 1 5 7 3", "f 1 5 7 9"), ["mesh.obj:9:", "vertex 9 is out of bounds: 8"]),
+        (replaced("f 1 5 7 3", "f 1 5 7 0"), ["mesh.obj:9:", "out of bounds"]),
+        (replaced("f 1 5 7 3", "f 1 5 7 -9"), ["mesh.obj:9:", "out of bounds"]),
+        (replaced("f 1 5 7 3", "f 1 5"), ["mesh.obj:9:", "fewer than three different corners"]),
+        (replaced("f 1 5 7 3", "surf 0 1 0 1 1 2 3 4"), ["mesh.obj:9:", "free-form"]),
+        (replaced("f 1 5 7 3", "face 1 5 7 3"), ["mesh.obj:9:", "no statement of an OBJ file"]),
         (format!("l 1 2 3\n{v}"), ["mesh.obj", "no triangles"]),
     ] {
         assert_refused("mesh.obj", text, &words);
     }
-    let utf16: Vec<u8> = [0xfe, 0xff]
-        .into_iter()
-        .chain(v.bytes().flat_map(|byte| [0, byte]))
-        .collect();
+    let utf16: Vec<u8> = [0xfe, 0xff].into_iter().chain(v.bytes().flat_map(|byte| [0, byte])).collect();
     assert_refused("utf16.obj", utf16, &["UTF-16"]);
 }
 
@@ -378,17 +238,11 @@ struct Extrusion {
 impl Extrusion {
     fn new(profile: &[[f64; 2]], [low, high]: [f64; 2], turn: DMat3) -> Extrusion {
         let n = profile.len();
-        let vertices = [low, high].into_iter().flat_map(|z| {
-            profile
-                .iter()
-                .map(move |&[x, y]| turn * DVec3::new(x, y, z))
-        });
+        let vertices =
+            [low, high].into_iter().flat_map(|z| profile.iter().map(move |&[x, y]| turn * DVec3::new(x, y, z)));
         let sides = (0..n).map(|i| vec![i, (i + 1) % n, (i + 1) % n + n, i + n]);
         let ends = [(0..n).map(|i| i + n).collect(), (0..n).rev().collect()];
-        Extrusion {
-            vertices: vertices.collect(),
-            polygons: sides.chain(ends).collect(),
-        }
+        Extrusion { vertices: vertices.collect(), polygons: sides.chain(ends).collect() }
     }
 
     /// Every polygon begins `first` corners later.
@@ -403,15 +257,9 @@ impl Extrusion {
     }
 
     fn obj(&self, first: usize) -> String {
-        let vertices = self
-            .vertices
-            .iter()
-            .map(|x| format!("v {} {} {}\n", x.x, x.y, x.z));
+        let vertices = self.vertices.iter().map(|x| format!("v {} {} {}\n", x.x, x.y, x.z));
         let faces = self.begun_at(first).into_iter().map(|polygon| {
-            let corners: Vec<String> = polygon
-                .iter()
-                .map(|corner| (corner + 1).to_string())
-                .collect();
+            let corners: Vec<String> = polygon.iter().map(|corner| (corner + 1).to_string()).collect();
             format!("f {}\n", corners.join(" "))
         });
         vertices.chain(faces).collect()
@@ -424,10 +272,7 @@ impl Extrusion {
             self.vertices.len(),
             self.polygons.len()
         );
-        let vertices = self
-            .vertices
-            .iter()
-            .map(|x| format!("{} {} {}\n", x.x, x.y, x.z));
+        let vertices = self.vertices.iter().map(|x| format!("{} {} {}\n", x.x, x.y, x.z));
         let faces = self.begun_at(first).into_iter().map(|polygon| {
             let corners: Vec<String> = polygon.iter().map(ToString::to_string).collect();
             format!("{} {}\n", polygon.len(), corners.join(" "))
@@ -448,29 +293,11 @@ impl Extrusion {
 
 #[test]
 fn concave_polygons_are_the_same_solid_whichever_corner_is_first() {
-    let trough = [
-        [0.2, 0.1],
-        [1.4, 0.1],
-        [1.4, 0.7],
-        [1.2, 0.7],
-        [1.2, 0.3],
-        [0.4, 0.3],
-        [0.4, 0.7],
-        [0.2, 0.7],
-    ];
+    let trough = [[0.2, 0.1], [1.4, 0.1], [1.4, 0.7], [1.2, 0.7], [1.2, 0.3], [0.4, 0.3], [0.4, 0.7], [0.2, 0.7]];
     let dart = [[0.4, 0.2], [0.8, 0.35], [1.2, 0.2], [0.8, 0.9]];
     // Corners in the middle of straight edges, which the polygons beside them have, too.
-    let straight = [
-        [0.0, 0.0],
-        [0.5, 0.0],
-        [1.0, 0.0],
-        [1.0, 0.5],
-        [1.0, 1.0],
-        [0.7, 1.0],
-        [0.5, 0.2],
-        [0.3, 1.0],
-        [0.0, 1.0],
-    ];
+    let straight =
+        [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.5], [1.0, 1.0], [0.7, 1.0], [0.5, 0.2], [0.3, 1.0], [0.0, 1.0]];
     let star: Vec<[f64; 2]> = (0..14)
         .map(|i| {
             let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 14.0).sin_cos();
@@ -495,19 +322,13 @@ fn concave_polygons_are_the_same_solid_whichever_corner_is_first() {
             let first = read("body.obj", body.obj(0)).unwrap();
             let got = [first.area(), first.volume()];
             for (got, expected) in got.into_iter().zip(expected) {
-                assert!(
-                    (got / expected - 1.0).abs() < 1e-12,
-                    "profile {number}: {got}, expected {expected}"
-                );
+                assert!((got / expected - 1.0).abs() < 1e-12, "profile {number}: {got}, expected {expected}");
             }
             assert_eq!(first.triangles.len(), 4 * profile.len() - 4);
             // The same triangles, but for the order of their corners.
             let set = |surface: &Surface| -> BTreeSet<Vec<[u64; 3]>> {
                 let triangle = |number| {
-                    let mut corners = surface
-                        .corners(number)
-                        .map(|x| x.to_array().map(f64::to_bits))
-                        .to_vec();
+                    let mut corners = surface.corners(number).map(|x| x.to_array().map(f64::to_bits)).to_vec();
                     corners.sort_unstable();
                     corners
                 };
@@ -516,47 +337,24 @@ fn concave_polygons_are_the_same_solid_whichever_corner_is_first() {
             for start in (0..profile.len()).step_by(1 + profile.len() / 20) {
                 for (name, text) in [("body.obj", body.obj(start)), ("body.ply", body.ply(start))] {
                     let surface = read(name, text).unwrap();
-                    assert_eq!(
-                        set(&surface),
-                        set(&first),
-                        "profile {number} from corner {start}"
-                    );
+                    assert_eq!(set(&surface), set(&first), "profile {number} from corner {start}");
                 }
             }
         }
     }
-    assert!(
-        (Extrusion::new(&trough, [0.2, 0.8], flat).area_and_volume(&trough, 0.6)[1] - 0.24).abs()
-            < 1e-12
-    );
+    assert!((Extrusion::new(&trough, [0.2, 0.8], flat).area_and_volume(&trough, 0.6)[1] - 0.24).abs() < 1e-12);
 }
 
 /// The distance to a trough whose ends begin at a re-entrant corner is that to the three boxes of which it consists, and its inside is air.
 #[test]
 fn a_trough_of_concave_polygons_is_the_union_of_its_boxes() {
     let folder = tempfile::tempdir().unwrap();
-    let trough = [
-        [0.2, 0.1],
-        [1.4, 0.1],
-        [1.4, 0.7],
-        [1.2, 0.7],
-        [1.2, 0.3],
-        [0.4, 0.3],
-        [0.4, 0.7],
-        [0.2, 0.7],
-    ];
+    let trough = [[0.2, 0.1], [1.4, 0.1], [1.4, 0.7], [1.2, 0.7], [1.2, 0.3], [0.4, 0.3], [0.4, 0.7], [0.2, 0.7]];
     let body = Extrusion::new(&trough, [0.2, 0.8], DMat3::IDENTITY);
-    let boxes = [
-        [[0.2, 0.1], [1.4, 0.3]],
-        [[0.2, 0.1], [0.4, 0.7]],
-        [[1.2, 0.1], [1.4, 0.7]],
-    ];
+    let boxes = [[[0.2, 0.1], [1.4, 0.3]], [[0.2, 0.1], [0.4, 0.7]], [[1.2, 0.1], [1.4, 0.7]]];
     let expected = |x: DVec3| {
         let outside = boxes.map(|[low, high]| {
-            let [low, high] = [
-                DVec3::new(low[0], low[1], 0.2),
-                DVec3::new(high[0], high[1], 0.8),
-            ];
+            let [low, high] = [DVec3::new(low[0], low[1], 0.2), DVec3::new(high[0], high[1], 0.8)];
             (low - x).max(x - high).max(DVec3::ZERO).length()
         });
         outside.into_iter().fold(f64::INFINITY, f64::min)
@@ -578,10 +376,7 @@ fn a_trough_of_concave_polygons_is_the_union_of_its_boxes() {
             inside += usize::from(outside == 0.0);
             for distance in [obstacle[cell], liquid[cell]] {
                 let distance = distance.max(0.0).min(3.0 * grid.dx);
-                assert!(
-                    (distance - outside.min(3.0 * grid.dx)).abs() < 1e-12,
-                    "{x}: {distance}, expected {outside}"
-                );
+                assert!((distance - outside.min(3.0 * grid.dx)).abs() < 1e-12, "{x}: {distance}, expected {outside}");
             }
         }
         assert!((inside as f64 * grid.dx.powi(3) - 0.24).abs() < 1e-12);
@@ -614,28 +409,15 @@ fn polygons_with_bridges_are_read_and_those_that_cross_themselves_are_refused() 
     ] {
         assert_refused("bow.obj", format!("{bow}{face}"), &["bow.obj:6:", word]);
     }
-    let ply = Extrusion::new(
-        &[[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.5, 2.0]],
-        [0.0, 1.0],
-        DMat3::IDENTITY,
-    );
-    assert_refused(
-        "bow.ply",
-        ply.ply(0),
-        &["face 5: it crosses or touches itself"],
-    );
+    let ply = Extrusion::new(&[[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.5, 2.0]], [0.0, 1.0], DMat3::IDENTITY);
+    assert_refused("bow.ply", ply.ply(0), &["face 5: it crosses or touches itself"]);
     // A quadrilateral that is not flat has two triangulations; the first corner chooses neither.
     let tent = "v 0 0 0\nv 1 0 0\nv 1 1 0.3\nv 0 1 0\nv 0.5 0.5 2\n";
     let volumes = ["1 4 3 2", "4 3 2 1", "3 2 1 4", "2 1 4 3"].map(|base| {
         let text = format!("{tent}f {base}\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n");
         read("tent.obj", text).unwrap().volume()
     });
-    assert!(
-        volumes
-            .iter()
-            .all(|volume| (volume - volumes[0]).abs() < 1e-15),
-        "{volumes:?}"
-    );
+    assert!(volumes.iter().all(|volume| (volume - volumes[0]).abs() < 1e-15), "{volumes:?}");
 }
 
 // PLY
@@ -643,85 +425,43 @@ fn polygons_with_bridges_are_read_and_those_that_cross_themselves_are_refused() 
 #[test]
 fn ply_of_many_tools_is_read() {
     let pillar = pillar();
-    let head =
-        |format: &str, elements: &str| format!("ply\nformat {format} 1.0\n{elements}end_header\n");
+    let head = |format: &str, elements: &str| format!("ply\nformat {format} 1.0\n{elements}end_header\n");
     let vertex = "element vertex 8\nproperty float x\nproperty float y\nproperty float z\n";
     let face = "element face 6\nproperty list uchar int vertex_indices\n";
-    let v: String = pillar
-        .vertices
-        .iter()
-        .map(|x| format!("{} {} {}\n", x.x, x.y, x.z))
-        .collect();
-    let f = SIDES
-        .map(|[a, b, c, d]| format!("4 {a} {b} {c} {d}\n"))
-        .concat();
+    let v: String = pillar.vertices.iter().map(|x| format!("{} {} {}\n", x.x, x.y, x.z)).collect();
+    let f = SIDES.map(|[a, b, c, d]| format!("4 {a} {b} {c} {d}\n")).concat();
     let text = |elements: &str, data: &str| head("ascii", elements) + data;
     let plain = text(&format!("{vertex}{face}"), &(v.clone() + &f));
-    let strips: String = SIDES
-        .map(|[a, b, c, d]| format!(" {a} {b} {d} {c} -1"))
-        .concat();
+    let strips: String = SIDES.map(|[a, b, c, d]| format!(" {a} {b} {d} {c} -1")).concat();
     let strip = "element tristrips 1\nproperty list int int vertex_indices\n";
     for (name, text) in [
         ("plain", plain.clone()),
         ("mark", format!("\u{feff}{plain}")),
         ("crlf", plain.replace('\n', "\r\n")),
         ("cr", plain.replace('\n', "\r")),
-        (
-            "blank lines",
-            text(
-                &format!("comment\n\n{vertex}{face}"),
-                &format!("\n{v}\n\n{f}\n \n"),
-            ),
-        ),
-        (
-            "faces first",
-            text(&format!("{face}{vertex}"), &(f.clone() + &v)),
-        ),
-        (
-            "strips",
-            text(&format!("{vertex}{strip}"), &format!("{v}30{strips}\n")),
-        ),
-        (
-            "a strip that turns back",
-            text(&format!("{vertex}{strip}"), &format!("{v}32{strips} 0 0\n")),
-        ),
+        ("blank lines", text(&format!("comment\n\n{vertex}{face}"), &format!("\n{v}\n\n{f}\n \n"))),
+        ("faces first", text(&format!("{face}{vertex}"), &(f.clone() + &v))),
+        ("strips", text(&format!("{vertex}{strip}"), &format!("{v}30{strips}\n"))),
+        ("a strip that turns back", text(&format!("{vertex}{strip}"), &format!("{v}32{strips} 0 0\n"))),
         (
             "edges",
             text(
-                &format!(
-                    "{vertex}{face}element edge 1\nproperty int vertex1\nproperty int vertex2\n"
-                ),
+                &format!("{vertex}{face}element edge 1\nproperty int vertex1\nproperty int vertex2\n"),
                 &format!("{v}{f}0 1\n"),
             ),
         ),
-        (
-            "nothing of an element",
-            text(
-                &format!("element camera 3\n{vertex}{face}"),
-                &(v.clone() + &f),
-            ),
-        ),
+        ("nothing of an element", text(&format!("element camera 3\n{vertex}{face}"), &(v.clone() + &f))),
     ] {
         assert_pillar(&format!("{name}.ply"), text);
     }
     // Whole coordinates, in steps of a fifth of a metre.
-    let whole: String = pillar
-        .vertices
-        .iter()
-        .map(|x| format!("{} {} {}\n", 5.0 * x.x, 5.0 * x.y, 5.0 * x.z))
-        .collect();
-    let whole = text(
-        &format!("{}{face}", vertex.replace("float", "short")),
-        &(whole + &f),
-    );
+    let whole: String =
+        pillar.vertices.iter().map(|x| format!("{} {} {}\n", 5.0 * x.x, 5.0 * x.y, 5.0 * x.z)).collect();
+    let whole = text(&format!("{}{face}", vertex.replace("float", "short")), &(whole + &f));
     assert!((read("whole.ply", whole).unwrap().volume() - 3.0).abs() < 1e-14);
 
     let binary = |newline: &str, big_endian: bool, first: f32| {
-        let format = if big_endian {
-            "binary_big_endian"
-        } else {
-            "binary_little_endian"
-        };
+        let format = if big_endian { "binary_big_endian" } else { "binary_little_endian" };
         let elements = format!("{vertex}property uchar red\n{face}property double quality\n");
         let mut bytes = head(format, &elements).replace('\n', newline).into_bytes();
         let ordered = |mut bytes: Vec<u8>| {
@@ -739,10 +479,7 @@ fn ply_of_many_tools_is_read() {
         }
         for side in SIDES {
             bytes.push(4);
-            bytes.extend(
-                side.into_iter()
-                    .flat_map(|corner| ordered((corner as i32).to_le_bytes().to_vec())),
-            );
+            bytes.extend(side.into_iter().flat_map(|corner| ordered((corner as i32).to_le_bytes().to_vec())));
             bytes.extend([0; 8]);
         }
         bytes
@@ -762,68 +499,27 @@ fn ply_of_many_tools_is_read() {
 
     let bytes = binary("\n", false, 0.4);
     for (bytes, words) in [
-        (
-            plain.clone() + "4 0 1 2 3\n",
-            ["left over", "one mesh a file"],
-        ),
+        (plain.clone() + "4 0 1 2 3\n", ["left over", "one mesh a file"]),
         (plain.replace("face 6", "face 5"), ["left over", "counts"]),
+        (plain.replace("face 6", "face 7"), ["ends too early", "face 7 of 7"]),
+        (plain.replace("face 6", "face 18446744073709551615"), ["ends too early", "face 7 of"]),
+        (plain.replace("4 0 4 6 2", "4 0 4 6 2 1"), [":18:", "more values than"]),
+        (plain.replace("4 0 4 6 2", "4 0 4 6"), [":18:", "fewer values than"]),
+        (plain.replace("4 0 4 6 2", "4 0 4 6 2.5"), [":18:", "broken number"]),
+        (plain.replace("4 0 4 6 2", "4 0 4 6 -1"), ["face 1:", "-1 is no number of a vertex"]),
+        (plain.replace("0.4 0 0.4", "0,4 0 0.4"), [":10:", "with a point"]),
+        (plain.replace("list uchar int", "list uchar float"), ["`face`", "whole numbers"]),
+        (plain.replace("element face", "element cell"), ["no element `face`", "cure"]),
         (
-            plain.replace("face 6", "face 7"),
-            ["ends too early", "face 7 of 7"],
-        ),
-        (
-            plain.replace("face 6", "face 18446744073709551615"),
-            ["ends too early", "face 7 of"],
-        ),
-        (
-            plain.replace("4 0 4 6 2", "4 0 4 6 2 1"),
-            [":18:", "more values than"],
-        ),
-        (
-            plain.replace("4 0 4 6 2", "4 0 4 6"),
-            [":18:", "fewer values than"],
-        ),
-        (
-            plain.replace("4 0 4 6 2", "4 0 4 6 2.5"),
-            [":18:", "broken number"],
-        ),
-        (
-            plain.replace("4 0 4 6 2", "4 0 4 6 -1"),
-            ["face 1:", "-1 is no number of a vertex"],
-        ),
-        (
-            plain.replace("0.4 0 0.4", "0,4 0 0.4"),
-            [":10:", "with a point"],
-        ),
-        (
-            plain.replace("list uchar int", "list uchar float"),
-            ["`face`", "whole numbers"],
-        ),
-        (
-            plain.replace("element face", "element cell"),
-            ["no element `face`", "cure"],
-        ),
-        (
-            text(
-                &format!("{vertex}{face}{}", face.replace("face", "cells")),
-                &(v.clone() + &f + &f),
-            ),
+            text(&format!("{vertex}{face}{}", face.replace("face", "cells")), &(v.clone() + &f + &f)),
             ["`cells`", "not read"],
         ),
         (plain.replace("end_header", "end"), ["`end`", "header"]),
     ] {
         assert_refused("mesh.ply", bytes, &words);
     }
-    assert_refused(
-        "mesh.ply",
-        [&bytes[..], b"\0"].concat(),
-        &["1 bytes are left over"],
-    );
-    assert_refused(
-        "mesh.ply",
-        &bytes[..bytes.len() - 1],
-        &["ends too early", "face 6 of 6"],
-    );
+    assert_refused("mesh.ply", [&bytes[..], b"\0"].concat(), &["1 bytes are left over"]);
+    assert_refused("mesh.ply", &bytes[..bytes.len() - 1], &["ends too early", "face 6 of 6"]);
 }
 
 // Surfaces that bound no solid
@@ -832,8 +528,7 @@ fn join(parts: &[Surface]) -> Surface {
     let mut all = Surface::default();
     for part in parts {
         let first = all.vertices.len() as u32;
-        all.triangles
-            .extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
+        all.triangles.extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
         all.vertices.extend(&part.vertices);
     }
     all.welded()
@@ -846,20 +541,8 @@ fn problem(surface: &Surface) -> String {
 #[test]
 fn surfaces_that_fold_or_cross_themselves_are_refused() {
     // The trough with its ends cut into fans, as careless exporters do: from corner 5 they leave the polygon.
-    let trough = [
-        [0.2, 0.1],
-        [1.4, 0.1],
-        [1.4, 0.7],
-        [1.2, 0.7],
-        [1.2, 0.3],
-        [0.4, 0.3],
-        [0.4, 0.7],
-        [0.2, 0.7],
-    ];
-    for turn in [
-        DMat3::IDENTITY,
-        DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7),
-    ] {
+    let trough = [[0.2, 0.1], [1.4, 0.1], [1.4, 0.7], [1.2, 0.7], [1.2, 0.3], [0.4, 0.3], [0.4, 0.7], [0.2, 0.7]];
+    for turn in [DMat3::IDENTITY, DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7)] {
         for first in 0..8 {
             let body = Extrusion::new(&trough, [0.2, 0.8], turn);
             let fans = body.begun_at(first).into_iter().flat_map(|polygon| {
@@ -878,10 +561,7 @@ fn surfaces_that_fold_or_cross_themselves_are_refused() {
                 let problem = problem(&surface);
                 // Triangles of corners on one line have no area.
                 let expected = ["folds over itself", "has no area"];
-                assert!(
-                    expected.iter().any(|word| problem.contains(word)),
-                    "{problem}"
-                );
+                assert!(expected.iter().any(|word| problem.contains(word)), "{problem}");
             }
         }
     }
@@ -890,29 +570,17 @@ fn surfaces_that_fold_or_cross_themselves_are_refused() {
     let bow = |half: f64| {
         let profile = [[-1.0, -1.0], [half, half], [half, -half], [-1.0, 1.0]];
         let body = Extrusion::new(&profile, [0.0, 1.0], DMat3::IDENTITY);
-        let sides = body.polygons[..4]
-            .iter()
-            .flat_map(|p| [[p[0], p[1], p[2]], [p[0], p[2], p[3]]]);
+        let sides = body.polygons[..4].iter().flat_map(|p| [[p[0], p[1], p[2]], [p[0], p[2], p[3]]]);
         let ends = [[4, 5, 6], [4, 6, 7], [3, 2, 1], [3, 1, 0]];
         let surface = Surface {
             vertices: body.vertices,
-            triangles: sides
-                .chain(ends)
-                .map(|t| t.map(|corner| corner as u32))
-                .collect(),
+            triangles: sides.chain(ends).map(|t| t.map(|corner| corner as u32)).collect(),
         };
-        if surface.volume() < 0.0 {
-            surface.inside_out()
-        } else {
-            surface
-        }
+        if surface.volume() < 0.0 { surface.inside_out() } else { surface }
     };
     for half in [0.5, 0.1, 0.02] {
         let problem = problem(&bow(half));
-        assert!(
-            problem.contains("crosses itself") || problem.contains("folds"),
-            "{half}: {problem}"
-        );
+        assert!(problem.contains("crosses itself") || problem.contains("folds"), "{half}: {problem}");
     }
     // Hoses along a closed curve: one that passes through itself, and the same where it passes by.
     let hose = |lift: f64| {
@@ -934,23 +602,11 @@ fn surfaces_that_fold_or_cross_themselves_are_refused() {
         let vertex = |i: u32, j: u32| i % n * m + j % m;
         let triangles = (0..n * m).flat_map(|k| {
             let (i, j) = (k / m, k % m);
-            let [a, b, c, d] = [
-                vertex(i, j),
-                vertex(i + 1, j),
-                vertex(i + 1, j + 1),
-                vertex(i, j + 1),
-            ];
+            let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
             [[a, b, c], [a, c, d]]
         });
-        let surface = Surface {
-            vertices,
-            triangles: triangles.collect(),
-        };
-        if surface.volume() < 0.0 {
-            surface.inside_out()
-        } else {
-            surface
-        }
+        let surface = Surface { vertices, triangles: triangles.collect() };
+        if surface.volume() < 0.0 { surface.inside_out() } else { surface }
     };
     assert_eq!(hose(0.5).fault(), None);
     assert!(problem(&hose(0.05)).contains("crosses itself"));
@@ -969,16 +625,7 @@ fn thin_and_hollow_bodies_are_no_crossings() {
             DVec3::new(1.0, 0.0, 1.0),
             DVec3::new(1.0, height, 1.0),
         ],
-        triangles: vec![
-            [0, 2, 1],
-            [3, 4, 5],
-            [0, 1, 4],
-            [0, 4, 3],
-            [1, 2, 5],
-            [1, 5, 4],
-            [0, 3, 5],
-            [0, 5, 2],
-        ],
+        triangles: vec![[0, 2, 1], [3, 4, 5], [0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4], [0, 3, 5], [0, 5, 2]],
     };
     let ball = Surface::sphere(DVec3::ZERO, 1.0, 0.5);
     let shell = |share: f64| join(&[ball.clone(), ball.clone().map(|x| share * x).inside_out()]);
@@ -987,10 +634,7 @@ fn thin_and_hollow_bodies_are_no_crossings() {
         ("foil", plate(1e-6)),
         ("wedge", wedge(1e-2)),
         ("blade", wedge(1e-4)),
-        (
-            "needle",
-            Surface::cylinder(DVec3::ZERO, DVec3::X, 1e-5, 1.0, 1e-4),
-        ),
+        ("needle", Surface::cylinder(DVec3::ZERO, DVec3::X, 1e-5, 1.0, 1e-4)),
         ("shell", shell(0.9)),
         ("skin", shell(1.0 - 1e-6)),
     ] {
@@ -1007,23 +651,10 @@ fn parts_that_overlap_at_a_corner_or_in_one_place_are_refused() {
     let corner = ball.vertices[0];
     // Mirrored at a corner, then drawn nearer about it: it stays shared.
     let towards = |share: f64| {
-        let other = ball
-            .clone()
-            .map(|x| corner + share * (corner - x))
-            .inside_out();
+        let other = ball.clone().map(|x| corner + share * (corner - x)).inside_out();
         // Without exact coordinates the corner would be another one.
         Surface {
-            vertices: other
-                .vertices
-                .iter()
-                .map(|&x| {
-                    if x.distance(corner) < 1e-12 {
-                        corner
-                    } else {
-                        x
-                    }
-                })
-                .collect(),
+            vertices: other.vertices.iter().map(|&x| if x.distance(corner) < 1e-12 { corner } else { x }).collect(),
             ..other
         }
     };
@@ -1031,22 +662,10 @@ fn parts_that_overlap_at_a_corner_or_in_one_place_are_refused() {
     assert_eq!(touching.vertices.len(), 2 * ball.vertices.len() - 1);
     let overlapping = |share: f64| {
         let part = ball.clone().map(|x| corner + share * (x - corner));
-        let part = part.map(|x| {
-            if x.distance(corner) < 1e-12 {
-                corner
-            } else {
-                x
-            }
-        });
+        let part = part.map(|x| if x.distance(corner) < 1e-12 { corner } else { x });
         // A ball turned about an axis through the corner.
         let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 1.2);
-        part.map(|x| {
-            if x == corner {
-                x
-            } else {
-                corner + turn * (x - corner)
-            }
-        })
+        part.map(|x| if x == corner { x } else { corner + turn * (x - corner) })
     };
     for share in [1.0, 0.7] {
         let both = join(&[ball.clone(), overlapping(share)]);
@@ -1055,13 +674,7 @@ fn parts_that_overlap_at_a_corner_or_in_one_place_are_refused() {
     }
     // The smaller one lies in the larger, but for the corner.
     let within = ball.clone().map(|x| corner + 0.3 * (x - corner));
-    let within = within.map(|x| {
-        if x.distance(corner) < 1e-12 {
-            corner
-        } else {
-            x
-        }
-    });
+    let within = within.map(|x| if x.distance(corner) < 1e-12 { corner } else { x });
     assert!(problem(&join(&[ball.clone(), within])).contains("overlap"));
     // One place: the same triangles, and others.
     assert!(problem(&join(&[ball.clone(), ball.clone()])).contains("lie in one place"));
@@ -1076,16 +689,8 @@ fn parts_that_overlap_at_a_corner_or_in_one_place_are_refused() {
 
 #[test]
 fn nothing_behind_the_last_element_is_dropped() {
-    let points = [
-        [0.0, 0.0, 0.0],
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-    ];
-    let mesh = TetMesh {
-        nodes: points.map(DVec3::from_array).to_vec(),
-        elements: vec![[0, 1, 2, 3]],
-    };
+    let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let mesh = TetMesh { nodes: points.map(DVec3::from_array).to_vec(), elements: vec![[0, 1, 2, 3]] };
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("mesh.vtu");
     write_mesh(&file, &mesh).unwrap();
@@ -1101,37 +706,15 @@ fn nothing_behind_the_last_element_is_dropped() {
              <DataArray type=\"UInt8\" Name=\"types\" format=\"ascii\">10</DataArray></Cells></Piece></UnstructuredGrid></VTKFile>"
         )
     };
-    let read = |name: &str, bytes: &[u8]| {
-        parse_tets(bytes, Path::new(name)).map_err(|error| error.to_string())
-    };
-    for (name, bytes) in [
-        ("m.msh", msh.as_bytes()),
-        ("a.vtu", ascii("0 1 2 3").as_bytes()),
-        ("w.vtu", &vtu),
-    ] {
+    let read = |name: &str, bytes: &[u8]| parse_tets(bytes, Path::new(name)).map_err(|error| error.to_string());
+    for (name, bytes) in [("m.msh", msh.as_bytes()), ("a.vtu", ascii("0 1 2 3").as_bytes()), ("w.vtu", &vtu)] {
         assert_eq!(read(name, bytes).unwrap().mesh.elements.len(), 1, "{name}");
     }
     for (name, bytes, word) in [
-        (
-            "m.msh",
-            [msh, msh].concat().into_bytes(),
-            "a second mesh begins here",
-        ),
-        (
-            "m.msh",
-            [msh, "1 2 3"].concat().into_bytes(),
-            "where a section begins",
-        ),
-        (
-            "m.msh",
-            msh.replace("4\n$EndE", "4\n2 1 2 3 4\n$EndE").into_bytes(),
-            "where $EndElements belongs",
-        ),
-        (
-            "a.vtu",
-            ascii("0 1 2 3 0 1 2 3").into_bytes(),
-            "4 numbers are left over behind the last cell",
-        ),
+        ("m.msh", [msh, msh].concat().into_bytes(), "a second mesh begins here"),
+        ("m.msh", [msh, "1 2 3"].concat().into_bytes(), "where a section begins"),
+        ("m.msh", msh.replace("4\n$EndE", "4\n2 1 2 3 4\n$EndE").into_bytes(), "where $EndElements belongs"),
+        ("a.vtu", ascii("0 1 2 3 0 1 2 3").into_bytes(), "4 numbers are left over behind the last cell"),
         ("w.vtu", [&vtu[..], b"more"].concat(), "w.vtu"),
     ] {
         let error = read(name, &bytes).unwrap_err();
@@ -1153,16 +736,8 @@ fn files_of_trimesh_and_meshio_are_read_as_they_read_them() {
     let filled = geometry::fill(&ball, 0.15).unwrap();
     write_mesh(&own, &filled).unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers/write_meshes.py");
-    let output = Command::new(python)
-        .arg(script)
-        .arg(folder.path())
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let output = Command::new(python).arg(script).arg(folder.path()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let files: Value = serde_json::from_slice(&output.stdout).unwrap();
     let mut seen = BTreeSet::new();
     for (name, found) in files.as_object().unwrap() {
@@ -1179,26 +754,11 @@ fn files_of_trimesh_and_meshio_are_read_as_they_read_them() {
         };
         let number = |key: &str| found[key].as_f64().unwrap();
         // Six to eight digits, or single precision.
-        assert!(
-            (volume / number("volume") - 1.0).abs() < 1e-5,
-            "{name}: {volume}, {found}"
-        );
+        assert!((volume / number("volume") - 1.0).abs() < 1e-5, "{name}: {volume}, {found}");
         assert_eq!(n as f64, number("cells"), "{name}");
-        let corners = found["bounds"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .flat_map(|corner| corner.as_array().unwrap());
-        for (got, expected) in low
-            .to_array()
-            .into_iter()
-            .chain(high.to_array())
-            .zip(corners)
-        {
-            assert!(
-                (got - expected.as_f64().unwrap()).abs() < 1e-6,
-                "{name}: {got}, {expected}"
-            );
+        let corners = found["bounds"].as_array().unwrap().iter().flat_map(|corner| corner.as_array().unwrap());
+        for (got, expected) in low.to_array().into_iter().chain(high.to_array()).zip(corners) {
+            assert!((got - expected.as_f64().unwrap()).abs() < 1e-6, "{name}: {got}, {expected}");
         }
     }
     assert_eq!(Vec::from_iter(seen), ["msh", "obj", "ply", "stl", "vtu"]);

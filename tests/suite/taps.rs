@@ -12,9 +12,7 @@ use cutwater::state::{Exchange, SolveStatus, StepReport};
 use crate::common::gpu;
 
 fn parse(rest: &str) -> Result<Scene, Error> {
-    let text = format!(
-        "[domain]\nsize = [0.5, 0.5, 0.25]\ncells = [16, 16, 8]\n[time]\nduration = 1.0\n{rest}"
-    );
+    let text = format!("[domain]\nsize = [0.5, 0.5, 0.25]\ncells = [16, 16, 8]\n[time]\nduration = 1.0\n{rest}");
     Scene::parse(Path::new("taps.toml"), &text, &[], 1.0)
 }
 
@@ -43,10 +41,10 @@ fn run(simulation: &mut Simulation, frame: u64, mut each: impl FnMut(&StepReport
     sum
 }
 
-const POOL: &str =
-    "[[liquid.region]]\nhalf_space = { point = [0.0, 0.125, 0.0], normal = [0.0, 1.0, 0.0] }\n";
+const POOL: &str = "[[liquid.region]]\nhalf_space = { point = [0.0, 0.125, 0.0], normal = [0.0, 1.0, 0.0] }\n";
 /// 4 x 4 cells of 1/32 m across, below the ceiling.
-const TAP: &str = "[[source]]\nbox = { min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }\nvelocity = [0.0, -1.0, 0.0]\n";
+const TAP: &str =
+    "[[source]]\nbox = { min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }\nvelocity = [0.0, -1.0, 0.0]\n";
 
 #[test]
 fn what_is_no_source_or_sink_is_refused() {
@@ -57,141 +55,46 @@ fn what_is_no_source_or_sink_is_refused() {
     let shape = "box = { min = [0.1, 0.1, 0.1], max = [0.2, 0.2, 0.2] }";
     let source = |rest: &str| format!("{liquid}[[source]]\n{shape}\n{rest}\n");
     for (text, line, key, cure) in [
+        (format!("{liquid}[[source]]\n{shape}\n"), 9, "source[0]", "velocity, flow_rate"),
+        (source("velocity = [0, 1, 0]\nflow_rate = 0.001"), 9, "source[0]", "keep one velocity or flow rate"),
+        (source("velocity = [0, 1, 0]\ndirection = [0, 1, 0]"), 12, "source[0].direction", "flow_rate = 0.001"),
+        (source("flow_rate = 0.001"), 9, "source[0].direction", "direction = [0, -1, 0]"),
+        (source("flow_rate = 0\ndirection = [0, 1, 0]"), 11, "source[0].flow_rate", "above zero"),
+        (source("flow_rate = 1e5\ndirection = [0, 1, 0]"), 11, "source[0].flow_rate", "a litre per second is 0.001"),
+        (source("velocity = [0, 0, 0]"), 11, "source[0].velocity", "emits nothing"),
+        (source("velocity = [0, 1e7, 0]"), 11, "source[0].velocity", "1e6"),
+        (source("velocity = [0, 1]"), 11, "source[0].velocity", "a list of 3"),
+        (source("velocity = [0, 1, 0]\nstart = -1.0"), 12, "source[0].start", "0 s or later"),
+        (source("velocity = [0, 1, 0]\nstart = 2.0\nend = 2.0"), 13, "source[0].end", "after the start"),
+        (source("velocity = [0, 1, 0]\nspeed = 2.0"), 12, "source[0].speed", "unknown key"),
+        (format!("{liquid}[[source]]\nvelocity = [0, 1, 0]\n"), 9, "source[0]", "box, sphere, cylinder"),
         (
-            format!("{liquid}[[source]]\n{shape}\n"),
-            9,
-            "source[0]",
-            "velocity, flow_rate",
-        ),
-        (
-            source("velocity = [0, 1, 0]\nflow_rate = 0.001"),
-            9,
-            "source[0]",
-            "keep one velocity or flow rate",
-        ),
-        (
-            source("velocity = [0, 1, 0]\ndirection = [0, 1, 0]"),
-            12,
-            "source[0].direction",
-            "flow_rate = 0.001",
-        ),
-        (
-            source("flow_rate = 0.001"),
-            9,
-            "source[0].direction",
-            "direction = [0, -1, 0]",
-        ),
-        (
-            source("flow_rate = 0\ndirection = [0, 1, 0]"),
-            11,
-            "source[0].flow_rate",
-            "above zero",
-        ),
-        (
-            source("flow_rate = 1e5\ndirection = [0, 1, 0]"),
-            11,
-            "source[0].flow_rate",
-            "a litre per second is 0.001",
-        ),
-        (
-            source("velocity = [0, 0, 0]"),
-            11,
-            "source[0].velocity",
-            "emits nothing",
-        ),
-        (
-            source("velocity = [0, 1e7, 0]"),
-            11,
-            "source[0].velocity",
-            "1e6",
-        ),
-        (
-            source("velocity = [0, 1]"),
-            11,
-            "source[0].velocity",
-            "a list of 3",
-        ),
-        (
-            source("velocity = [0, 1, 0]\nstart = -1.0"),
-            12,
-            "source[0].start",
-            "0 s or later",
-        ),
-        (
-            source("velocity = [0, 1, 0]\nstart = 2.0\nend = 2.0"),
-            13,
-            "source[0].end",
-            "after the start",
-        ),
-        (
-            source("velocity = [0, 1, 0]\nspeed = 2.0"),
-            12,
-            "source[0].speed",
-            "unknown key",
-        ),
-        (
-            format!("{liquid}[[source]]\nvelocity = [0, 1, 0]\n"),
-            9,
-            "source[0]",
-            "box, sphere, cylinder",
-        ),
-        (
-            format!(
-                "{liquid}[[source]]\nsphere = {{ centre = [2, 2, 2], radius = 0.1 }}\nvelocity = [0, 1, 0]\n"
-            ),
+            format!("{liquid}[[source]]\nsphere = {{ centre = [2, 2, 2], radius = 0.1 }}\nvelocity = [0, 1, 0]\n"),
             10,
             "source[0].sphere",
             "outside the domain",
         ),
-        (
-            format!("{liquid}[[sink]]\n{shape}\nvelocity = [0, 1, 0]\n"),
-            11,
-            "sink[0].velocity",
-            "unknown key",
-        ),
-        (
-            format!("{liquid}[source]\n{shape}\n"),
-            9,
-            "source",
-            "[[source]]",
-        ),
+        (format!("{liquid}[[sink]]\n{shape}\nvelocity = [0, 1, 0]\n"), 11, "sink[0].velocity", "unknown key"),
+        (format!("{liquid}[source]\n{shape}\n"), 9, "source", "[[source]]"),
         (format!("{fixed}[[sink]]\n{shape}\n"), 10, "sink", "markers"),
-        (
-            format!("{solid}[[sink]]\n{shape}\n"),
-            13,
-            "sink",
-            "[liquid]",
-        ),
-        (
-            format!("{liquid}{}", format!("[[sink]]\n{shape}\n").repeat(33)),
-            9,
-            "sink",
-            "at most 32",
-        ),
+        (format!("{solid}[[sink]]\n{shape}\n"), 13, "sink", "[liquid]"),
+        (format!("{liquid}{}", format!("[[sink]]\n{shape}\n").repeat(33)), 9, "sink", "at most 32"),
     ] {
         let refused = parse(&text).unwrap_err();
         let message = refused.to_string();
         let place = format!("taps.toml:{line}: {key}");
-        assert!(
-            message.contains(&place) && message.contains(cure),
-            "{place}, {cure}: {message}\n{text}"
-        );
+        assert!(message.contains(&place) && message.contains(cure), "{place}, {cure}: {message}\n{text}");
         assert_eq!(refused.exit_code(), 2);
     }
     // Between the centres of cells, and in an obstacle: known only on the grid.
-    let thin = source("velocity = [0, 1, 0]").replace(
-        shape,
-        "box = { min = [0.1, 0.1, 0.1], max = [0.2, 0.101, 0.2] }",
-    );
-    let buried = source("velocity = [0, 1, 0]")
-        + "[[obstacle]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.3, 0.3, 0.25] }\n";
+    let thin =
+        source("velocity = [0, 1, 0]").replace(shape, "box = { min = [0.1, 0.1, 0.1], max = [0.2, 0.101, 0.2] }");
+    let buried =
+        source("velocity = [0, 1, 0]") + "[[obstacle]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.3, 0.3, 0.25] }\n";
     for text in [thin, buried] {
         let refused = Plan::new(&parse(&text).unwrap(), None).unwrap_err();
         let message = refused.to_string();
-        assert!(
-            message.contains("taps.toml:9: source[0]") && message.contains("at least a cell thick"),
-            "{message}"
-        );
+        assert!(message.contains("taps.toml:9: source[0]") && message.contains("at least a cell thick"), "{message}");
         assert_eq!(refused.exit_code(), 2);
     }
 }
@@ -205,27 +108,13 @@ fn a_source_emits_its_speed_times_its_projected_area() {
             "cylinder = { base = [0.2, 0.5, 0.2], axis = [0, -1, 0], radius = 0.03, height = 0.05 }",
             [PI * 0.03 * 0.03, 2.0 * 0.03 * 0.05],
         ),
-        (
-            "cylinder = { base = [0.21, 0.4, 0.19], axis = [0.6, 0.8, 0], radius = 0.041, height = 0.09 }",
-            [0.0; 2],
-        ),
-        (
-            "sphere = { centre = [0.2, 0.3, 0.2], radius = 0.047 }",
-            [PI * 0.047 * 0.047; 2],
-        ),
-        (
-            "box = { min = [0.151, 0.22, 0.13], max = [0.233, 0.283, 0.211] }",
-            [0.082 * 0.081, 0.063 * 0.081],
-        ),
+        ("cylinder = { base = [0.21, 0.4, 0.19], axis = [0.6, 0.8, 0], radius = 0.041, height = 0.09 }", [0.0; 2]),
+        ("sphere = { centre = [0.2, 0.3, 0.2], radius = 0.047 }", [PI * 0.047 * 0.047; 2]),
+        ("box = { min = [0.151, 0.22, 0.13], max = [0.233, 0.283, 0.211] }", [0.082 * 0.081, 0.063 * 0.081]),
     ];
     for scale in [0.7, 1.0, 1.2, 1.5, 2.0] {
         for (shape, known) in &shapes {
-            for way in [
-                [0.0, -1.5, 0.0],
-                [1.5, 0.0, 0.0],
-                [1.5, -1.5, 0.0],
-                [0.3, 1.1, -0.7],
-            ] {
+            for way in [[0.0, -1.5, 0.0], [1.5, 0.0, 0.0], [1.5, -1.5, 0.0], [0.3, 1.1, -0.7]] {
                 let text = format!(
                     "[domain]\nsize = [0.4, 0.6, 0.4]\ncells = [20, 30, 20]\n[time]\nduration = 1.0\n[liquid]\n[[source]]\n{shape}\nvelocity = {way:?}\n"
                 );
@@ -242,10 +131,7 @@ fn a_source_emits_its_speed_times_its_projected_area() {
                     _ => continue,
                 };
                 let expected = area * 1.5;
-                assert!(
-                    area == 0.0 || (flow.unobstructed / expected - 1.0).abs() < 1e-12,
-                    "{what}"
-                );
+                assert!(area == 0.0 || (flow.unobstructed / expected - 1.0).abs() < 1e-12, "{what}");
             }
         }
     }
@@ -278,10 +164,7 @@ fn a_round_tap_emits_alike_at_every_scale() {
         assert!((ratio - 1.0).abs() < 1e-3, "{scale}: {ratio}");
         let markers = sum.emitted as f64 * scene.grid().cell_volume() / 8.0 / sum.volume_emitted;
         println!("scale {scale}: {ratio} of the volume, {markers} of the markers");
-        assert!(
-            (markers - 1.0).abs() < 0.35,
-            "{scale}: {markers} of the markers"
-        );
+        assert!((markers - 1.0).abs() < 0.35, "{scale}: {markers} of the markers");
     }
 }
 
@@ -314,10 +197,7 @@ fn a_flow_rate_is_what_comes_out() {
     // Up against the ceiling nothing can leave.
     let covered = source("flow_rate = 0.001\ndirection = [0, 1, 0]\n");
     let message = Plan::new(&covered, None).unwrap_err().to_string();
-    assert!(
-        message.contains("source[0]: walls leave too little"),
-        "{message}"
-    );
+    assert!(message.contains("source[0]: walls leave too little"), "{message}");
 }
 
 /// From an empty tank: what fills the source at its start, and then A v t, exactly in what is to be held. The volume of the union of spheres
@@ -337,11 +217,7 @@ fn a_source_fills_a_tank_at_the_rate_it_says() {
     });
     let state = simulation.state().unwrap();
     let expected = source + rate * 1.5;
-    assert!(
-        (state.volume_0 / expected - 1.0).abs() < 1e-9,
-        "{} m^3 to hold",
-        state.volume_0
-    );
+    assert!((state.volume_0 / expected - 1.0).abs() < 1e-9, "{} m^3 to hold", state.volume_0);
     assert!((sum.volume_emitted / expected - 1.0).abs() < 1e-9);
     let (mut ratio, mut n) = (0.0, 0.0);
     let mut time = 1.5;
@@ -371,10 +247,7 @@ fn sources_keep_their_times() {
     assert_eq!(simulation.state().unwrap().volume_0, start.volume_0);
     let during = run(&mut simulation, 12, |_| {});
     let expected = 0.125_f64.powi(3) + 0.125 * 0.125 * 0.25;
-    assert!(
-        (during.volume_emitted / expected - 1.0).abs() < 1e-9,
-        "{during:?}"
-    );
+    assert!((during.volume_emitted / expected - 1.0).abs() < 1e-9, "{during:?}");
     assert!(simulation.state().unwrap().sources_running == 1);
     let after = run(&mut simulation, 18, |_| {});
     assert_eq!((after.emitted, after.volume_emitted), (0, 0.0));
@@ -432,11 +305,9 @@ fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
         ))
         .unwrap()
     };
-    for (speed, status) in [
-        (0.5, SolveStatus::Converged),
-        (0.25, SolveStatus::Incompatible),
-        (0.0, SolveStatus::Incompatible),
-    ] {
+    for (speed, status) in
+        [(0.5, SolveStatus::Converged), (0.25, SolveStatus::Incompatible), (0.0, SolveStatus::Incompatible)]
+    {
         let mut backends = vec![Backend::Cpu];
         backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
         for backend in backends {
@@ -468,11 +339,7 @@ fn what_moves_away_takes_no_cells_of_a_source() {
             flux = report.liquid.unwrap().exchange.unwrap().volume_emitted / report.dt;
         }
         // 16 faces of 1/32 m, at 1 m/s.
-        assert!(
-            (64.0 * flux - 1.0).abs() < 1e-9,
-            "{}: {flux} m^3/s",
-            backend.name()
-        );
+        assert!((64.0 * flux - 1.0).abs() < 1e-9, "{}: {flux} m^3/s", backend.name());
     }
 }
 
@@ -496,11 +363,7 @@ fn what_a_gate_covers_gets_no_markers() {
         }
         // At least those that end with a frame, at 2/24 and 3/24 s.
         assert!(covered.len() >= 2, "{}: {covered:?}", backend.name());
-        assert!(
-            covered.iter().all(|&emitted| emitted == 0),
-            "{}: {covered:?}",
-            backend.name()
-        );
+        assert!(covered.iter().all(|&emitted| emitted == 0), "{}: {covered:?}", backend.name());
         let (low, high) = ([0.125, 0.375, 0.0625], [0.25, 0.5, 0.1875]);
         let inside = |x: &&[f64; 3]| (0..3).all(|a| (low[a]..high[a]).contains(&x[a]));
         let state = simulation.state().unwrap();
@@ -545,10 +408,7 @@ fn a_fountain_comes_to_a_steady_volume() {
         assert!(state.markers_emitted > 0);
         if frames > 24 {
             // A fat jet over a small pool: what it is measured too fat, here a quarter, is the worst that may be.
-            assert!(
-                (0.95..1.35).contains(&mean) && worst < 0.4,
-                "{mean}, {worst}"
-            );
+            assert!((0.95..1.35).contains(&mean) && worst < 0.4, "{mean}, {worst}");
             // Longer than the scene says: slots of markers that sank are used again.
             assert!(state.markers_sunk > 0 && state.markers_emitted > half.markers_emitted);
             let ratio = late.volume_sunk / late.volume_emitted;
@@ -584,50 +444,22 @@ fn runs_with_sources_and_sinks_repeat_and_go_on_from_a_state() {
 #[test]
 fn taps_take_room_and_kernels_only_where_they_are() {
     let sink = "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n";
-    let plan =
-        |rest: &str| Plan::new(&parse(&format!("[liquid]\n{POOL}{rest}")).unwrap(), None).unwrap();
+    let plan = |rest: &str| Plan::new(&parse(&format!("[liquid]\n{POOL}{rest}")).unwrap(), None).unwrap();
     let [none, source, drain] = ["", TAP, sink].map(plan);
-    for (plan, sources, sinks) in [
-        (&none, false, false),
-        (&source, true, false),
-        (&drain, false, true),
-    ] {
-        let has = |label: &str| {
-            plan.buffers
-                .iter()
-                .any(|buffer| buffer.label.starts_with(label))
-        };
+    for (plan, sources, sinks) in [(&none, false, false), (&source, true, false), (&drain, false, true)] {
+        let has = |label: &str| plan.buffers.iter().any(|buffer| buffer.label.starts_with(label));
         assert_eq!([has("sources."), has("sinks.")], [sources, sinks]);
-        let kernels: Vec<&str> = plan
-            .stages
-            .iter()
-            .flat_map(|stage| stage.kernels.iter().copied())
-            .collect();
-        for kernel in [
-            "count_in_sources",
-            "plan_seeds",
-            "seed_markers",
-            "hold_faces",
-            "carry_faces",
-        ] {
+        let kernels: Vec<&str> = plan.stages.iter().flat_map(|stage| stage.kernels.iter().copied()).collect();
+        for kernel in ["count_in_sources", "plan_seeds", "seed_markers", "hold_faces", "carry_faces"] {
             assert_eq!(kernels.contains(&kernel), sources, "{kernel}");
         }
         for kernel in ["sink_markers", "empty_sinks"] {
             assert_eq!(kernels.contains(&kernel), sinks, "{kernel}");
         }
-        assert_eq!(
-            plan.stages.iter().any(|stage| stage.name == "exchange"),
-            sources || sinks
-        );
+        assert_eq!(plan.stages.iter().any(|stage| stage.name == "exchange"), sources || sinks);
     }
     // A second of 1/64 m^3/s, and a quarter more; the source's cells twice.
-    let markers = |plan: &Plan| {
-        plan.buffers
-            .iter()
-            .find(|b| b.label == "liquid.markers")
-            .unwrap()
-            .len
-    };
+    let markers = |plan: &Plan| plan.buffers.iter().find(|b| b.label == "liquid.markers").unwrap().len;
     let room = 8 * (2 * 64 + (1.25 * 32f64.powi(3) / 64.0) as usize);
     assert_eq!(markers(&source), markers(&none) + room);
 }

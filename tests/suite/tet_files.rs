@@ -20,9 +20,7 @@ use crate::solid_scene::body;
 use crate::tet_mesh::{assert_sound, euler_characteristic};
 
 fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/data/meshes")
-        .join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/meshes").join(name)
 }
 
 /// A file of this name with these contents; the error as text.
@@ -67,16 +65,7 @@ fn meshes_of_gmsh_are_read() {
 #[test]
 fn meshes_of_vtk_are_read_in_all_encodings() {
     let gmsh = read_tets(&data("gmsh_text.msh")).unwrap().mesh;
-    for name in [
-        "ascii",
-        "binary",
-        "binary_zlib",
-        "raw",
-        "raw_zlib",
-        "base64",
-        "base64_zlib",
-        "big",
-    ] {
+    for name in ["ascii", "binary", "binary_zlib", "raw", "raw_zlib", "base64", "base64_zlib", "big"] {
         let read = read_tets(&data(&format!("vtk_{name}.vtu"))).unwrap();
         assert_eq!(read.mesh.elements, gmsh.elements, "{name}");
         for (x, y) in read.mesh.nodes.iter().zip(&gmsh.nodes) {
@@ -84,11 +73,7 @@ fn meshes_of_vtk_are_read_in_all_encodings() {
             let digits = if name == "ascii" { 1e-10 } else { 0.0 };
             assert!(x.distance(*y) <= digits, "{name}: {x}, {y}");
         }
-        assert_eq!(
-            read.notes,
-            ["7 cells of fewer dimensions ignored"],
-            "{name}"
-        );
+        assert_eq!(read.notes, ["7 cells of fewer dimensions ignored"], "{name}");
         // A triangle after each of the first tetrahedra.
         assert_eq!(&read.numbers[..3], [0, 2, 4], "{name}");
     }
@@ -103,9 +88,7 @@ fn meshes_of_vtk_are_read_in_all_encodings() {
 fn written_meshes_are_read_back_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("mesh.vtu");
-    let bricks = |cells: [usize; 3], size: DVec3| {
-        TetMesh::new(&body(SolidMesh::Box { size, cells }), "test").unwrap()
-    };
+    let bricks = |cells: [usize; 3], size: DVec3| TetMesh::new(&body(SolidMesh::Box { size, cells }), "test").unwrap();
     // The third has 3072 elements: its arrays are whole multiples of 4 KiB.
     for cells in [[1, 1, 1], [3, 5, 2], [8, 8, 8]] {
         let mesh = bricks(cells, DVec3::new(0.1, 1.0 / 3.0, 7e-5));
@@ -130,27 +113,15 @@ fn written_meshes_are_read_back_to_the_bit() {
 
 // What is broken
 
-const CORNERS: [[f64; 3]; 5] = [
-    [0.0, 0.0, 0.0],
-    [1.0, 0.0, 0.0],
-    [0.0, 1.0, 0.0],
-    [0.0, 0.0, 1.0],
-    [1.0, 1.0, 1.0],
-];
+const CORNERS: [[f64; 3]; 5] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0]];
 
 /// A text file of Gmsh 4.1 with nodes 11, 12 and so on and elements 101 and so on.
 fn msh(nodes: &[[f64; 3]], kind: usize, elements: &[&[usize]]) -> String {
     let (n, m) = (nodes.len(), elements.len());
     let tags: String = (0..n).map(|node| format!("{}\n", 11 + node)).collect();
-    let places: String = nodes
-        .iter()
-        .map(|[x, y, z]| format!("{x} {y} {z}\n"))
-        .collect();
+    let places: String = nodes.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     let elements = elements.iter().enumerate().map(|(number, corners)| {
-        let corners: Vec<_> = corners
-            .iter()
-            .map(|corner| (11 + corner).to_string())
-            .collect();
+        let corners: Vec<_> = corners.iter().map(|corner| (11 + corner).to_string()).collect();
         format!("{} {}\n", 101 + number, corners.join(" "))
     });
     let elements: String = elements.collect();
@@ -207,15 +178,10 @@ fn binary_msh(big_endian: bool, wide: bool) -> Vec<u8> {
 /// A text file of VTK; `values` are those of connectivity, offsets and types.
 fn vtu(points: &[[f64; 3]], values: [&str; 3]) -> String {
     let n_cells = values[2].split_whitespace().count();
-    let places: String = points
-        .iter()
-        .map(|[x, y, z]| format!("{x} {y} {z}\n"))
-        .collect();
+    let places: String = points.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
     let [connectivity, offsets, types] = values;
     let array = |kind: &str, name: &str, values: &str| {
-        format!(
-            "<DataArray type=\"{kind}\" Name=\"{name}\" format=\"ascii\">\n{values}\n</DataArray>\n"
-        )
+        format!("<DataArray type=\"{kind}\" Name=\"{name}\" format=\"ascii\">\n{values}\n</DataArray>\n")
     };
     format!(
         "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"0.1\" byte_order=\"LittleEndian\">\n\
@@ -242,64 +208,22 @@ fn what_is_no_mesh_of_a_solid_is_refused_with_the_place_and_the_cure() {
     let mut older = tets(&CORNERS, two);
     older = older.replace("4.1 0 8", "2.2 0 8");
     let cases: &[(&str, String, &[&str])] = &[
-        (
-            "old.msh",
-            older,
-            &[
-                "old.msh:2",
-                "MSH format 2.2",
-                "gmsh",
-                "old.msh -save -format msh41 -o",
-                "old_41.msh",
-            ],
-        ),
-        (
-            "f.msh",
-            "(0 \"fluent\")".into(),
-            &["not a Gmsh file", "cure: "],
-        ),
+        ("old.msh", older, &["old.msh:2", "MSH format 2.2", "gmsh", "old.msh -save -format msh41 -o", "old_41.msh"]),
+        ("f.msh", "(0 \"fluent\")".into(), &["not a Gmsh file", "cure: "]),
         ("f.msh", String::new(), &["not a Gmsh file"]),
         ("f.msh", tets(&nan, two), &["node 13 is at", "finite"]),
-        (
-            "f.msh",
-            tets(&flat, two),
-            &["element 102", "no volume", "cure: "],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 3, 2, 4]]),
-            &["element 102 is inverted", "orientation"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 2, 2, 4]]),
-            &["element 102 has node 13 twice"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, &[&[0, 1, 2, 3], &[0, 1, 2, 3]]),
-            &["element 101, element 102 overlap"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, &[&[0, 1, 2, 3], &[0, 1, 2, 4]]),
-            &["element 101, element 102 overlap"],
-        ),
+        ("f.msh", tets(&flat, two), &["element 102", "no volume", "cure: "]),
+        ("f.msh", tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 3, 2, 4]]), &["element 102 is inverted", "orientation"]),
+        ("f.msh", tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 2, 2, 4]]), &["element 102 has node 13 twice"]),
+        ("f.msh", tets(&CORNERS, &[&[0, 1, 2, 3], &[0, 1, 2, 3]]), &["element 101, element 102 overlap"]),
+        ("f.msh", tets(&CORNERS, &[&[0, 1, 2, 3], &[0, 1, 2, 4]]), &["element 101, element 102 overlap"]),
         (
             "f.msh",
             tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 2, 3, 4], &[1, 2, 3, 4]]),
             &["element 101, element 102, element 103 share one face"],
         ),
-        (
-            "f.msh",
-            tets(&double, &[&[0, 1, 2, 3], &[6, 7, 9, 8]]),
-            &["node 12 and node 17", "both at", "merge"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, &[&[0, 1, 2, 9]]),
-            &["f.msh:21", "element 101 has node 20", "$Nodes"],
-        ),
+        ("f.msh", tets(&double, &[&[0, 1, 2, 3], &[6, 7, 9, 8]]), &["node 12 and node 17", "both at", "merge"]),
+        ("f.msh", tets(&CORNERS, &[&[0, 1, 2, 9]]), &["f.msh:21", "element 101 has node 20", "$Nodes"]),
         ("f.msh", tets(&CORNERS, &[]), &["no tetrahedra"]),
         ("f.msh", msh(&CORNERS, 2, &[&[0, 1, 2]]), &["no tetrahedra"]),
         (
@@ -307,165 +231,66 @@ fn what_is_no_mesh_of_a_solid_is_refused_with_the_place_and_the_cure() {
             msh(&CORNERS, 11, &[&[0, 1, 2, 3, 0, 1, 2, 3, 0, 1]]),
             &["element 101 is a tetrahedron of higher order", "SetOrder 1"],
         ),
-        (
-            "f.msh",
-            msh(&CORNERS, 6, &[&[0, 1, 2, 3, 4, 0]]),
-            &["element 101 is a prism"],
-        ),
-        (
-            "f.msh",
-            msh(&CORNERS, 77, &[&[0, 1]]),
-            &["element 101 is of type 77"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, two).replace("13\n", "12\n"),
-            &["f.msh:9", "node 12 is there twice"],
-        ),
+        ("f.msh", msh(&CORNERS, 6, &[&[0, 1, 2, 3, 4, 0]]), &["element 101 is a prism"]),
+        ("f.msh", msh(&CORNERS, 77, &[&[0, 1]]), &["element 101 is of type 77"]),
+        ("f.msh", tets(&CORNERS, two).replace("13\n", "12\n"), &["f.msh:9", "node 12 is there twice"]),
         (
             "f.msh",
             tets(&CORNERS, two).replace("0 0 1\n", "0 zero 1\n"),
             &["f.msh:15", "\"zero\" where a number belongs"],
         ),
-        (
-            "f.msh",
-            tets(&CORNERS, two).replace("$EndNodes\n", ""),
-            &["$EndNodes belongs"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, two).replace("$EndElements\n", ""),
-            &["ends too early"],
-        ),
+        ("f.msh", tets(&CORNERS, two).replace("$EndNodes\n", ""), &["$EndNodes belongs"]),
+        ("f.msh", tets(&CORNERS, two).replace("$EndElements\n", ""), &["ends too early"]),
         (
             "f.msh",
             tets(&CORNERS, two).replace("3 1 4 2\n", "3 1 4 999999999999\n"),
             &["\"$EndElements\" where a whole number belongs"],
         ),
-        (
-            "f.msh",
-            tets(&CORNERS, two).replace("4.1 0 8", "4.1 0 3"),
-            &["sizes of 3 bytes"],
-        ),
-        (
-            "f.msh",
-            tets(&CORNERS, two).replace("4.1 0 8", "4.1 2 8"),
-            &["file type 2"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3 1 3 2 4", "4 8", "10 10"]),
-            &["cell 1 is inverted"],
-        ),
+        ("f.msh", tets(&CORNERS, two).replace("4.1 0 8", "4.1 0 3"), &["sizes of 3 bytes"]),
+        ("f.msh", tets(&CORNERS, two).replace("4.1 0 8", "4.1 2 8"), &["file type 2"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3 1 3 2 4", "4 8", "10 10"]), &["cell 1 is inverted"]),
         (
             "f.vtu",
             vtu(&CORNERS, ["0 1 2 3 1 2 3 5", "4 8", "10 10"]),
             &["f.vtu:16", "cell 1 has point 5, but there are 5"],
         ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3 1 2 3 -1", "4 8", "10 10"]),
-            &["cell 1 has point -1"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3", "4 8", "10 10"]),
-            &["cell 1 ends at 8"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3", "-4", "10"]),
-            &["cell 0 ends at -4"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3", "4", "10 10"]),
-            &["1 values for 2 cells"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3 4", "5", "10"]),
-            &["cell 0 is a tetrahedron with 5 points"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3 4", "5", "14"]),
-            &["cell 0 is a pyramid", "Tetrahedralize"],
-        ),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3 1 2 3 -1", "4 8", "10 10"]), &["cell 1 has point -1"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3", "4 8", "10 10"]), &["cell 1 ends at 8"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3", "-4", "10"]), &["cell 0 ends at -4"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3", "4", "10 10"]), &["1 values for 2 cells"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3 4", "5", "10"]), &["cell 0 is a tetrahedron with 5 points"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3 4", "5", "14"]), &["cell 0 is a pyramid", "Tetrahedralize"]),
         (
             "f.vtu",
             vtu(&CORNERS, ["0 1 2 3 0 1 2 3 0 1", "10", "24"]),
             &["cell 0 is a tetrahedron of higher order", "Linearize"],
         ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3.5", "4", "10"]),
-            &["f.vtu:16", "not a list of whole numbers"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2", "3", "5"]),
-            &["no tetrahedra"],
-        ),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3.5", "4", "10"]), &["f.vtu:16", "not a list of whole numbers"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2", "3", "5"]), &["no tetrahedra"]),
         ("f.vtu", vtu(&CORNERS, ["", "", ""]), &["no tetrahedra"]),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("Float64", "Float128"),
-            &["f.vtu"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("connectivity", "corners"),
-            &["no array connectivity"],
-        ),
-        (
-            "f.vtu",
-            vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("\"5\"", "\"6\""),
-            &["15 coordinates of 6 points"],
-        ),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("Float64", "Float128"), &["f.vtu"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("connectivity", "corners"), &["no array connectivity"]),
+        ("f.vtu", vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("\"5\"", "\"6\""), &["15 coordinates of 6 points"]),
         (
             "f.vtu",
             vtu(&CORNERS, ["0 1 2 3", "4", "10"]).replace("UnstructuredGrid", "PolyData"),
             &["PolyData, not an UnstructuredGrid"],
         ),
-        (
-            "f.vtu",
-            "<?xml version=\"1.0\"?>\n<VTKFile>".into(),
-            &["not an XML file", "never closed"],
-        ),
-        (
-            "f.vtu",
-            "# vtk DataFile Version 3.0\n".into(),
-            &["not an XML file", ".vtk"],
-        ),
-        (
-            "f.obj",
-            "v 0 0 0\n".into(),
-            &["a surface, not tetrahedra", "cell_size"],
-        ),
-        (
-            "f.inp",
-            "*NODE\n".into(),
-            &["unknown kind of mesh file", ".vtu"],
-        ),
+        ("f.vtu", "<?xml version=\"1.0\"?>\n<VTKFile>".into(), &["not an XML file", "never closed"]),
+        ("f.vtu", "# vtk DataFile Version 3.0\n".into(), &["not an XML file", ".vtk"]),
+        ("f.obj", "v 0 0 0\n".into(), &["a surface, not tetrahedra", "cell_size"]),
+        ("f.inp", "*NODE\n".into(), &["unknown kind of mesh file", ".vtu"]),
     ];
     for (name, contents, parts) in cases {
         let error = read(name, contents.as_bytes()).expect_err(&format!("{parts:?}"));
         for part in *parts {
-            assert!(
-                error.contains(part),
-                "no {part:?} in {error:?} of\n{contents}"
-            );
+            assert!(error.contains(part), "no {part:?} in {error:?} of\n{contents}");
         }
         assert!(error.contains("\n  cure: "), "{error}");
     }
     // The files that these are made from are sound.
     read("f.msh", tets(&CORNERS, two).as_bytes()).unwrap();
-    read(
-        "f.vtu",
-        vtu(&CORNERS, ["0 1 2 3 1 2 3 4", "4 8", "10 10"]).as_bytes(),
-    )
-    .unwrap();
+    read("f.vtu", vtu(&CORNERS, ["0 1 2 3 1 2 3 4", "4 8", "10 10"]).as_bytes()).unwrap();
 }
 
 #[test]
@@ -475,24 +300,11 @@ fn what_can_be_mended_is_mended_and_told() {
     nodes.push([5.0; 3]);
     let text = tets(&nodes, &[&[0, 2, 1, 3]]);
     let found = read("f.msh", text.as_bytes()).unwrap();
-    assert_eq!(
-        found.mesh.nodes,
-        CORNERS[..4]
-            .iter()
-            .map(|&x| DVec3::from_array(x))
-            .collect::<Vec<_>>()
-    );
+    assert_eq!(found.mesh.nodes, CORNERS[..4].iter().map(|&x| DVec3::from_array(x)).collect::<Vec<_>>());
     assert_sound(&found.mesh, "turned");
-    assert_eq!(
-        found.notes,
-        [
-            "2 nodes dropped, which no tetrahedron uses",
-            "1 tetrahedra turned: all were inverted"
-        ]
-    );
+    assert_eq!(found.notes, ["2 nodes dropped, which no tetrahedron uses", "1 tetrahedra turned: all were inverted"]);
     // Numbers of nodes mean what the file says, not their order.
-    let swapped =
-        tets(&CORNERS[..4], &[&[0, 1, 2, 3]]).replace("11\n12\n13\n14\n", "12\n11\n13\n14\n");
+    let swapped = tets(&CORNERS[..4], &[&[0, 1, 2, 3]]).replace("11\n12\n13\n14\n", "12\n11\n13\n14\n");
     let swapped = read("f.msh", swapped.as_bytes()).unwrap();
     assert_eq!(swapped.mesh.elements, [[1, 0, 3, 2]]);
     assert_eq!(swapped.notes, ["1 tetrahedra turned: all were inverted"]);
@@ -502,10 +314,7 @@ fn what_can_be_mended_is_mended_and_told() {
 fn small_files() -> Vec<(&'static str, Vec<u8>)> {
     let folder = tempfile::tempdir().unwrap();
     let written = folder.path().join("written.vtu");
-    let brick = SolidMesh::Box {
-        size: DVec3::ONE,
-        cells: [1, 1, 2],
-    };
+    let brick = SolidMesh::Box { size: DVec3::ONE, cells: [1, 1, 2] };
     write_mesh(&written, &TetMesh::new(&body(brick), "test").unwrap()).unwrap();
     let text = tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 2, 3, 4]]);
     let points = vtu(&CORNERS, ["0 1 2 3 1 2 3 4", "4 8", "10 10"]);
@@ -526,11 +335,9 @@ fn files_cut_off_anywhere_are_refused() {
         for length in 0..whole.len() {
             // Only what nothing depends on may be missing: line ends, the end marks of raw data.
             match read(name, &whole[..length]) {
-                Ok(cut) => assert!(
-                    cut == sound && whole.len() - length < 32,
-                    "{name} cut at {length} of {}",
-                    whole.len()
-                ),
+                Ok(cut) => {
+                    assert!(cut == sound && whole.len() - length < 32, "{name} cut at {length} of {}", whole.len())
+                }
                 Err(error) => assert!(error.starts_with(name), "{error}"),
             }
         }
@@ -549,11 +356,7 @@ fn damaged_bytes_and_huge_counts_neither_panic_nor_fill_the_memory() {
         // The largest count of four and of eight bytes, or of digits, in every place of a small file.
         for at in (0..whole.len() - 8).step_by(1 + whole.len() / 2000) {
             let mut changed = whole.clone();
-            let count = if name == "text.msh" || name == "ascii.vtu" {
-                b'9'
-            } else {
-                0xff
-            };
+            let count = if name == "text.msh" || name == "ascii.vtu" { b'9' } else { 0xff };
             changed[at..at + 4].fill(count);
             sound_or_refused(&changed);
             changed[at + 4..at + 8].fill(count);
@@ -574,30 +377,20 @@ fn damaged_bytes_and_huge_counts_neither_panic_nor_fill_the_memory() {
 
 #[test]
 fn files_are_placed_about_the_middle_of_their_box() {
-    let file = SolidMesh::File {
-        file: data("gmsh_text.msh").into(),
-        unit: 1.0,
-    };
+    let file = SolidMesh::File { file: data("gmsh_text.msh").into(), unit: 1.0 };
     let plain = TetMesh::new(&body(file.clone()), "test").unwrap();
     let [low, high] = plain.bounds();
     let middle = 0.5 * (low + high);
     let mut random = Random(3);
     for _ in 0..10 {
-        let vector =
-            |random: &mut Random| DVec3::from_array([0; 3].map(|_| random.uniform(-1.0, 1.0)));
+        let vector = |random: &mut Random| DVec3::from_array([0; 3].map(|_| random.uniform(-1.0, 1.0)));
         let placement = Placement {
             translate: vector(&mut random),
-            rotate: DMat3::from_axis_angle(
-                vector(&mut random).normalize(),
-                random.uniform(-3.0, 3.0),
-            ),
+            rotate: DMat3::from_axis_angle(vector(&mut random).normalize(), random.uniform(-3.0, 3.0)),
             scale: random.uniform(0.1, 4.0),
             at: None,
         };
-        let placed = Solid {
-            placement,
-            ..body(file.clone())
-        };
+        let placed = Solid { placement, ..body(file.clone()) };
         let placed = TetMesh::new(&placed, "test").unwrap();
         assert_sound(&placed, "placed");
         assert_eq!(placed.elements, plain.elements);
@@ -619,8 +412,7 @@ fn torus(ring: f64, tube: f64, sides: usize) -> Surface {
     let number = |i: usize, j: usize| (i % n * sides + j % sides) as u32;
     for i in 0..n {
         for j in 0..sides {
-            let [(sin, cos), (up, out)] =
-                [(i, n), (j, sides)].map(|(at, of)| (TAU * at as f64 / of as f64).sin_cos());
+            let [(sin, cos), (up, out)] = [(i, n), (j, sides)].map(|(at, of)| (TAU * at as f64 / of as f64).sin_cos());
             let radius = ring + tube * out;
             let x = DVec3::new(radius * cos, tube * up, radius * sin);
             surface.vertices.push(x);
@@ -660,13 +452,7 @@ fn fills_follow_their_surface_with_good_elements() {
     let cases = [
         ("cube", bricks(DVec3::splat(0.5)), 0.2, 0.01, 2),
         ("finer cube", bricks(DVec3::splat(0.5)), 0.1, 0.002, 2),
-        (
-            "turned plate",
-            bricks(DVec3::new(0.5, 0.1, 0.4)).map(|x| turn * x),
-            0.1,
-            0.03,
-            2,
-        ),
+        ("turned plate", bricks(DVec3::new(0.5, 0.1, 0.4)).map(|x| turn * x), 0.1, 0.03, 2),
         ("torus", torus(1.0, 0.4, 16), 0.25, 0.05, 0),
         ("plate", bricks(DVec3::new(1.0, 0.2, 1.0)), 0.125, 0.01, 2),
     ];
@@ -679,15 +465,9 @@ fn fills_follow_their_surface_with_good_elements() {
         let ratio = mesh.volume() / surface.volume();
         assert!(ratio > 1.0 - missing && ratio < 1.002, "{name}: {ratio}");
         let shape = mesh.worst_element().unwrap().1;
-        assert!(
-            shape.mean_ratio > 0.29 && shape.min_dihedral > 7.0,
-            "{name}: {shape:?}"
-        );
+        assert!(shape.mean_ratio > 0.29 && shape.min_dihedral > 7.0, "{name}: {shape:?}");
         let outer = mesh.surface();
-        let off = outer
-            .iter()
-            .flatten()
-            .map(|&node| distance(&surface, mesh.nodes[node as usize]));
+        let off = outer.iter().flatten().map(|&node| distance(&surface, mesh.nodes[node as usize]));
         let farthest = off.fold(0.0, f64::max);
         assert!(farthest < 0.2 * cell_size, "{name}: {farthest} m");
     }
@@ -698,48 +478,28 @@ fn surfaces_become_solids_of_a_scene() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cube.obj");
     let cube = Surface::cuboid(DVec3::splat(1.0), DVec3::splat(2.0));
-    let vertices = cube
-        .vertices
-        .iter()
-        .map(|v| format!("v {} {} {}\n", v.x, v.y, v.z));
+    let vertices = cube.vertices.iter().map(|v| format!("v {} {} {}\n", v.x, v.y, v.z));
     let faces = cube.triangles.iter().map(|t| {
         let [a, b, c] = t.map(|v| v + 1);
         format!("f {a} {b} {c}\n")
     });
     fs::write(&file, vertices.chain(faces).collect::<String>()).unwrap();
     let surface = |cell_size: f64| {
-        let mesh = SolidMesh::Surface {
-            file: file.clone().into(),
-            unit: 1.0,
-            cell_size,
-        };
+        let mesh = SolidMesh::Surface { file: file.clone().into(), unit: 1.0, cell_size };
         let placement = Placement {
             translate: DVec3::new(0.0, 5.0, 0.0),
             rotate: DMat3::from_rotation_y(0.3),
             scale: 2.0,
             at: None,
         };
-        TetMesh::new(
-            &Solid {
-                placement,
-                ..body(mesh)
-            },
-            "scene.toml: solid[0]",
-        )
+        TetMesh::new(&Solid { placement, ..body(mesh) }, "scene.toml: solid[0]")
     };
     let mesh = surface(0.25).unwrap();
     assert_sound(&mesh, "cube.obj");
     let [low, high] = mesh.bounds();
     let middle = 0.5 * (low + high);
-    assert!(
-        (middle - DVec3::new(1.5, 6.5, 1.5)).length() < 0.05,
-        "{middle}"
-    );
-    assert!(
-        (mesh.volume() / 8.0 - 1.0).abs() < 0.01,
-        "{}",
-        mesh.volume()
-    );
+    assert!((middle - DVec3::new(1.5, 6.5, 1.5)).length() < 0.05, "{middle}");
+    assert!((mesh.volume() / 8.0 - 1.0).abs() < 0.01, "{}", mesh.volume());
     for (cell_size, part) in [
         (0.0, "cell_size is 0 m"),
         (-1.0, "at most the longest extent"),
@@ -757,16 +517,9 @@ fn surfaces_become_solids_of_a_scene() {
 
 #[test]
 fn shapes_that_cannot_be_are_refused() {
-    let cuboid = |size: [f64; 3], cells| SolidMesh::Box {
-        size: DVec3::from_array(size),
-        cells,
-    };
+    let cuboid = |size: [f64; 3], cells| SolidMesh::Box { size: DVec3::from_array(size), cells };
     let ball = |radius, cell_size| SolidMesh::Sphere { radius, cell_size };
-    let shell = |radius, thickness, cell_size| SolidMesh::Shell {
-        radius,
-        thickness,
-        cell_size,
-    };
+    let shell = |radius, thickness, cell_size| SolidMesh::Shell { radius, thickness, cell_size };
     for (mesh, part) in [
         (cuboid([1.0, 0.0, 1.0], [1; 3]), "all positive"),
         (cuboid([1.0, f64::NAN, 1.0], [1; 3]), "all positive"),
@@ -827,10 +580,7 @@ fn the_mesh_command_tells_and_writes() {
     fs::write(folder.path().join("tet.obj"), faces).unwrap();
     let (code, said) = run(&["tet.obj", "--cell-size", "0.2"]);
     assert_eq!(code, Some(0), "{said}");
-    assert!(
-        said.contains("volume of the surface 1.666667e-1 m^3: the mesh differs by "),
-        "{said}"
-    );
+    assert!(said.contains("volume of the surface 1.666667e-1 m^3: the mesh differs by "), "{said}");
     for (arguments, part) in [
         (&["tet.obj"][..], "--cell-size"),
         (&["tet.obj", "--cell-size", "-1"], "cell_size is -1 m"),

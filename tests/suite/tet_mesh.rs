@@ -15,10 +15,7 @@ fn mesh(mesh: SolidMesh) -> TetMesh {
 }
 
 fn cuboid(size: [f64; 3], cells: [usize; 3]) -> SolidMesh {
-    SolidMesh::Box {
-        size: DVec3::from_array(size),
-        cells,
-    }
+    SolidMesh::Box { size: DVec3::from_array(size), cells }
 }
 
 /// Nodes less edges plus triangles of the surface: 2 for each closed surface without a hole.
@@ -50,21 +47,12 @@ pub(crate) fn assert_sound(mesh: &TetMesh, name: &str) {
         }
     }
     for &[from, to] in edges.keys() {
-        assert!(
-            edges.contains_key(&[to, from]),
-            "{name}: open at {from}, {to}"
-        );
+        assert!(edges.contains_key(&[to, from]), "{name}: open at {from}, {to}");
     }
     assert_eq!(mesh.pinched_edges(), 0, "{name}");
-    let surface = Surface {
-        vertices: mesh.nodes.clone(),
-        triangles,
-    };
+    let surface = Surface { vertices: mesh.nodes.clone(), triangles };
     let difference = surface.volume() - mesh.volume();
-    assert!(
-        difference.abs() < 1e-12 * mesh.volume(),
-        "{name}: {difference:e}"
-    );
+    assert!(difference.abs() < 1e-12 * mesh.volume(), "{name}: {difference:e}");
 }
 
 fn worst(mesh: &TetMesh) -> (f64, f64) {
@@ -109,10 +97,7 @@ fn the_cantilever_has_the_nodes_of_the_reference() {
     for (number, x) in mesh.nodes.iter().enumerate() {
         let reference = [number / 9, number / 3 % 3, number % 3].map(|at| at as f64);
         let reference = DVec3::from_array(reference) * DVec3::new(0.1, 0.05, 0.05);
-        assert!(
-            (*x + DVec3::new(0.5, 0.05, 0.05) - reference).length() < 1e-15,
-            "{number}"
-        );
+        assert!((*x + DVec3::new(0.5, 0.05, 0.05) - reference).length() < 1e-15, "{number}");
     }
 }
 
@@ -127,24 +112,14 @@ fn balls_and_shells_have_their_volume_and_good_elements() {
         let sphere = mesh(SolidMesh::Sphere { radius, cell_size });
         assert_sound(&sphere, &name);
         assert_eq!(euler_characteristic(&sphere.surface()), 2, "{name}");
-        assert!(
-            (sphere.volume() / ball(radius) - 1.0).abs() < 1e-12,
-            "{name}"
-        );
+        assert!((sphere.volume() / ball(radius) - 1.0).abs() < 1e-12, "{name}");
         let (mean_ratio, dihedral) = worst(&sphere);
-        assert!(
-            mean_ratio > 0.6 && dihedral > 30.0,
-            "{name}: {mean_ratio} {dihedral}"
-        );
+        assert!(mean_ratio > 0.6 && dihedral > 30.0, "{name}: {mean_ratio} {dihedral}");
 
         // Thick ones, and some of less than a cell.
         let thickness = radius * random.uniform(0.02, 0.8);
         let name = format!("shell {radius} {thickness} {cell_size}");
-        let shell = mesh(SolidMesh::Shell {
-            radius,
-            thickness,
-            cell_size,
-        });
+        let shell = mesh(SolidMesh::Shell { radius, thickness, cell_size });
         assert_sound(&shell, &name);
         assert_eq!(euler_characteristic(&shell.surface()), 4, "{name}");
         assert_eq!(shell.components(), 1, "{name}");
@@ -153,10 +128,7 @@ fn balls_and_shells_have_their_volume_and_good_elements() {
         // Thinner than half a cell, elements are as flat as the shell.
         let (mean_ratio, dihedral) = worst(&shell);
         if thickness > 0.5 * cell_size {
-            assert!(
-                mean_ratio > 0.5 && dihedral > 20.0,
-                "{name}: {mean_ratio} {dihedral}"
-            );
+            assert!(mean_ratio > 0.5 && dihedral > 20.0, "{name}: {mean_ratio} {dihedral}");
         }
     }
 }
@@ -164,39 +136,23 @@ fn balls_and_shells_have_their_volume_and_good_elements() {
 /// The thesis' hollow ball (section 6.1.5) has 992 nodes and 2948 elements.
 #[test]
 fn a_shell_of_one_layer_is_close_to_the_hollow_ball_of_the_thesis() {
-    let shell = mesh(SolidMesh::Shell {
-        radius: 1.0,
-        thickness: 0.05,
-        cell_size: 0.172,
-    });
+    let shell = mesh(SolidMesh::Shell { radius: 1.0, thickness: 0.05, cell_size: 0.172 });
     assert_eq!((shell.nodes.len(), shell.elements.len()), (984, 2940));
 }
 
 /// Elements as they are, with the nodes of a cube of length 1 and one beside it.
 fn by_hand(elements: &[[u32; 4]]) -> TetMesh {
-    let corner = |bits: u32| {
-        DVec3::new(
-            (bits & 1) as f64,
-            (bits >> 1 & 1) as f64,
-            (bits >> 2) as f64,
-        )
-    };
-    TetMesh {
-        nodes: (0..9).map(corner).collect(),
-        elements: elements.to_vec(),
-    }
+    let corner = |bits: u32| DVec3::new((bits & 1) as f64, (bits >> 1 & 1) as f64, (bits >> 2) as f64);
+    TetMesh { nodes: (0..9).map(corner).collect(), elements: elements.to_vec() }
 }
 
 #[test]
 fn parts_and_pinches_are_counted() {
     let element = [0, 1, 2, 4];
     // With a common face, edge, node, and none.
-    for (other, parts, pinches, triangles) in [
-        ([1, 2, 4, 7], 1, 0, 6),
-        ([1, 2, 3, 7], 1, 1, 8),
-        ([1, 3, 5, 6], 1, 0, 8),
-        ([3, 5, 6, 7], 2, 0, 8),
-    ] {
+    for (other, parts, pinches, triangles) in
+        [([1, 2, 4, 7], 1, 0, 6), ([1, 2, 3, 7], 1, 1, 8), ([1, 3, 5, 6], 1, 0, 8), ([3, 5, 6, 7], 2, 0, 8)]
+    {
         let mut mesh = by_hand(&[element, other]);
         if mesh.determinant(other) < 0.0 {
             mesh.elements[1].swap(0, 1);
@@ -205,11 +161,7 @@ fn parts_and_pinches_are_counted() {
         assert_eq!(mesh.surface().len(), triangles, "{other:?}");
         assert_eq!(mesh.pinched_edges(), pinches, "{other:?}");
         // Nodes that no element uses count as parts of their own here.
-        let unused = 9 - [&element[..], &other[..]]
-            .concat()
-            .iter()
-            .collect::<std::collections::HashSet<_>>()
-            .len();
+        let unused = 9 - [&element[..], &other[..]].concat().iter().collect::<std::collections::HashSet<_>>().len();
         assert_eq!(mesh.components(), parts + unused, "{other:?}");
     }
 }
@@ -224,32 +176,14 @@ fn shapes_of_elements_are_known_ones() {
     assert!(close(shape.volume, -1.0 / 3.0), "{shape:?}");
     assert!(close(shape.mean_ratio, -1.0), "{shape:?}");
     let shape = regular.shape([0, 5, 3, 6]);
-    assert!(
-        close(shape.volume, 1.0 / 3.0) && close(shape.mean_ratio, 1.0),
-        "{shape:?}"
-    );
-    assert!(
-        close(shape.min_dihedral, angle) && close(shape.max_dihedral, angle),
-        "{shape:?}"
-    );
+    assert!(close(shape.volume, 1.0 / 3.0) && close(shape.mean_ratio, 1.0), "{shape:?}");
+    assert!(close(shape.min_dihedral, angle) && close(shape.max_dihedral, angle), "{shape:?}");
     assert!(close(shape.aspect, 1.0), "{shape:?}");
     // A corner of the cube: three right angles, three with the cosine 1 / sqrt 3; the height on the slanted face is 1 / sqrt 3.
     let shape = regular.shape([0, 1, 2, 4]);
     assert!(close(shape.volume, 1.0 / 6.0), "{shape:?}");
-    assert!(
-        close(shape.mean_ratio, 12.0 * 0.25_f64.powf(1.0 / 3.0) / 9.0),
-        "{shape:?}"
-    );
-    assert!(
-        close(
-            shape.min_dihedral,
-            f64::acos(1.0 / 3.0_f64.sqrt()).to_degrees()
-        ),
-        "{shape:?}"
-    );
+    assert!(close(shape.mean_ratio, 12.0 * 0.25_f64.powf(1.0 / 3.0) / 9.0), "{shape:?}");
+    assert!(close(shape.min_dihedral, f64::acos(1.0 / 3.0_f64.sqrt()).to_degrees()), "{shape:?}");
     assert!(close(shape.max_dihedral, 90.0), "{shape:?}");
-    assert!(
-        close(shape.aspect, (2.0_f64 / 3.0).sqrt() * 6.0_f64.sqrt()),
-        "{shape:?}"
-    );
+    assert!(close(shape.aspect, (2.0_f64 / 3.0).sqrt() * 6.0_f64.sqrt()), "{shape:?}");
 }

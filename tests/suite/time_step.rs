@@ -39,10 +39,7 @@ fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
     assert!(close(dt(0.0, 0.1, 0.02), 0.1 / 4.0), "1.5 times the last");
     assert!(close(dt(0.0, 0.1, 0.1), 0.1 / 2.0));
     assert!(close(dt(0.0, 0.09, 0.1), 0.09), "not shorter than it must");
-    assert!(
-        close(dt(0.0, 0.08, 0.04), 0.08),
-        "two parts of a frame grow into one"
-    );
+    assert!(close(dt(0.0, 0.08, 0.04), 0.08), "two parts of a frame grow into one");
     assert!(close(dt(0.0, 0.08, 0.03), 0.04));
     assert!(close(limits.time_step(0.0, [0.0, 0.09], 0.1).wave_cfl, 0.9));
     // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
@@ -83,10 +80,7 @@ fn steps_have_a_least_and_a_largest_length() {
     let short = limits_of(&["time.max_step=0.01"]);
     assert!(close(short.time_step(0.0, [0.0, 0.1], 1.0).dt, 0.01));
     let fixed = limits_of(&["time.fixed_step=0.02"]);
-    assert!(close(
-        fixed.time_step(1e6, [0.0, 0.04 - 1e-14], 1e-9).dt,
-        0.02
-    ));
+    assert!(close(fixed.time_step(1e6, [0.0, 0.04 - 1e-14], 1e-9).dt, 0.02));
     // Two cells of 0.1 m in 0.02 s are 10 m/s; a fixed step is not shortened for more, but told.
     assert!(!fixed.time_step(10.0, [0.0, 0.1], 0.0).floored);
     assert!(fixed.time_step(10.1, [0.0, 0.1], 0.0).floored);
@@ -115,55 +109,30 @@ fn accelerations_of_obstacles_count_while_they_last() {
     let at = |time: f64| limits.time_step(0.0, [time, 1.0], 1.0);
     // 0.9 sqrt(dx / a), a = 10 and 40 m/s^2.
     let [slow, fast] = [0.09, 0.045];
-    for (time, dt) in [
-        (0.0, slow),
-        (0.4, slow),
-        (0.45, fast),
-        (0.5, fast),
-        (0.505, slow),
-        (0.58, fast),
-        (0.61, slow),
-    ] {
+    for (time, dt) in [(0.0, slow), (0.4, slow), (0.45, fast), (0.5, fast), (0.505, slow), (0.58, fast), (0.61, slow)] {
         let step = at(time);
-        assert!(
-            step.dt <= dt * (1.0 + 1e-9) && step.dt > 0.9 * dt,
-            "{time} s: {step:?}"
-        );
+        assert!(step.dt <= dt * (1.0 + 1e-9) && step.dt > 0.9 * dt, "{time} s: {step:?}");
         assert!(step.wave_cfl <= 0.9 * (1.0 + 1e-9), "{time} s: {step:?}");
     }
-    assert!(
-        close(limits.control_time(0.0), 0.1_f64.sqrt() / 8.0),
-        "that of gravity"
-    );
+    assert!(close(limits.control_time(0.0), 0.1_f64.sqrt() / 8.0), "that of gravity");
 }
 
 #[test]
 fn accelerations_of_keyframes_are_changes_of_velocity_and_of_direction() {
-    let frame = |time: f64, x: f64, angle: f64| Keyframe {
-        time,
-        translate: DVec3::new(x, 0.0, 0.0),
-        axis: DVec3::Z,
-        angle,
-    };
+    let frame =
+        |time: f64, x: f64, angle: f64| Keyframe { time, translate: DVec3::new(x, 0.0, 0.0), axis: DVec3::Z, angle };
     let of = |frames: &[Keyframe]| -> Vec<([f64; 2], f64)> {
         let all = Keyframe::accelerations(frames, 0.5);
         all.iter().map(|of| (of.times, of.size)).collect()
     };
     assert!(of(&[frame(0.0, 1.0, 2.0)]).is_empty());
     // 2 m/s from rest over 1 s, then 5 m/s: over half of 1 s and of 2 s; it stops from 5 m/s over 2 s.
-    let pushed = [
-        frame(0.0, 0.0, 0.0),
-        frame(1.0, 2.0, 0.0),
-        frame(3.0, 12.0, 0.0),
-    ];
+    let pushed = [frame(0.0, 0.0, 0.0), frame(1.0, 2.0, 0.0), frame(3.0, 12.0, 0.0)];
     let expected = [([0.0; 2], 2.0), ([1.0; 2], 2.0), ([3.0; 2], 2.5)];
     assert_eq!(of(&pushed), expected);
     // 8 rad/s at 0.5 m: 32 m/s^2 to the centre, 4 m/s from rest in 1 s and back.
     let turned = [frame(0.0, 0.0, 0.0), frame(1.0, 0.0, 8.0)];
-    assert_eq!(
-        of(&turned),
-        [([0.0; 2], 4.0), ([0.0, 1.0], 32.0), ([1.0; 2], 4.0)]
-    );
+    assert_eq!(of(&turned), [([0.0; 2], 4.0), ([0.0, 1.0], 32.0), ([1.0; 2], 4.0)]);
 }
 
 #[test]
@@ -181,14 +150,8 @@ fn bad_limits_are_refused() {
         error.to_string()
     };
     let both = refused(&["time.max_step=0.01", "time.fixed_step=0.02"]);
-    assert!(
-        both.contains("time.max_step") && both.contains("time.fixed_step"),
-        "{both}"
-    );
+    assert!(both.contains("time.max_step") && both.contains("time.fixed_step"), "{both}");
     let tiny = refused(&["time.max_step=1e-9"]);
-    assert!(
-        tiny.contains("time.max_step") && tiny.contains("use at least"),
-        "{tiny}"
-    );
+    assert!(tiny.contains("time.max_step") && tiny.contains("use at least"), "{tiny}");
     assert!(refused(&["time.max_step=-1"]).contains("time.max_step"));
 }

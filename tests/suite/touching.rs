@@ -33,11 +33,7 @@ fn run(solids: Vec<Solid>, gravity: f64, dt: f64, steps: usize) -> Vec<Sample> {
     let solids = solids_of(&scene);
     let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
     let (displacement, node_velocity) = solids.initial_state(&scene);
-    let state = State {
-        displacement,
-        node_velocity,
-        ..State::default()
-    };
+    let state = State { displacement, node_velocity, ..State::default() };
     let mut reference = Reference::new(&scene, cut, solids.clone(), state).unwrap();
     let sample = |reference: &Reference, energy: f64| {
         let state = reference.state();
@@ -49,22 +45,15 @@ fn run(solids: Vec<Solid>, gravity: f64, dt: f64, steps: usize) -> Vec<Sample> {
         let pairs = cutwater::geometry::contact_pairs(&positions, &solids.triangles, &ranges, 0.02);
         Sample {
             momentum: bodies.map(|body| body.nodes.clone().map(p).sum()).collect(),
-            angular: (0..solids.rest.len())
-                .map(|node| x(node).cross(p(node)))
-                .sum(),
+            angular: (0..solids.rest.len()).map(|node| x(node).cross(p(node))).sum(),
             energy,
-            overlap: pairs
-                .iter()
-                .fold(0.0, |worst, pair| f64::max(worst, -pair.gap)),
+            overlap: pairs.iter().fold(0.0, |worst, pair| f64::max(worst, -pair.gap)),
             positions,
         }
     };
     let mut samples = vec![sample(&reference, f64::NAN)];
     for _ in 0..steps {
-        let time_step = TimeStep {
-            dt,
-            ..reference.next_time_step()
-        };
+        let time_step = TimeStep { dt, ..reference.next_time_step() };
         let report = reference.step(time_step).unwrap().solid.unwrap();
         assert_eq!(report.contact.unsettled, 0, "{report:?}");
         let it = report.diagnosis;
@@ -91,22 +80,14 @@ fn equal_bars_exchange_their_momenta() {
         let sum: DVec3 = sample.momentum.iter().sum();
         assert!(sum.length() <= 1e-11 * whole, "{sum}");
     }
-    let forces: Vec<f64> = samples
-        .windows(2)
-        .map(|pair| (pair[1].momentum[0] - pair[0].momentum[0]).length() / dt)
-        .collect();
+    let forces: Vec<f64> =
+        samples.windows(2).map(|pair| (pair[1].momentum[0] - pair[0].momentum[0]).length() / dt).collect();
     // The width of a pulse of constant force.
     let impulse: f64 = forces.iter().map(|f| f * dt).sum();
     let width = impulse * impulse / forces.iter().map(|f| f * f * dt).sum::<f64>();
     let theory = 2.0 * 0.5 / c;
-    println!(
-        "{width} s for {theory}; {} of the momentum",
-        impulse / whole
-    );
-    assert!(
-        (width / theory - 1.0).abs() <= 0.05,
-        "{width} s for {theory}"
-    );
+    println!("{width} s for {theory}; {} of the momentum", impulse / whole);
+    assert!((width / theory - 1.0).abs() <= 0.05, "{width} s for {theory}");
     // Backward Euler widens the fronts of the wave to sqrt(c dt t) after t = 2 L / c: 0.08 of its way. What is in them, at both ends of
     // the pulse, stays behind as vibration.
     let after = -samples.last().unwrap().momentum[0].x / whole;
@@ -123,18 +104,9 @@ fn thrown_bodies_bounce_off_each_other() {
         let dt = [1.0 / 240.0, 1.0 / 60.0][case / 4 % 2];
         let mut thrown = |x: f64, speed: f64| {
             let mesh = match random.bits() % 3 {
-                0 => SolidMesh::Sphere {
-                    radius: 0.12,
-                    cell_size: 0.06,
-                },
-                1 => SolidMesh::Box {
-                    size: DVec3::splat(0.2),
-                    cells: [2, 2, 2],
-                },
-                _ => SolidMesh::Box {
-                    size: DVec3::new(0.3, 0.15, 0.15),
-                    cells: [4, 2, 2],
-                },
+                0 => SolidMesh::Sphere { radius: 0.12, cell_size: 0.06 },
+                1 => SolidMesh::Box { size: DVec3::splat(0.2), cells: [2, 2, 2] },
+                _ => SolidMesh::Box { size: DVec3::new(0.3, 0.15, 0.15), cells: [4, 2, 2] },
             };
             let mut any = || DVec3::from([(); 3].map(|()| random.uniform(-1.0, 1.0)));
             let (axis, shift, spin) = (any().normalize(), 0.05 * any(), 2.0 * any());
@@ -159,18 +131,11 @@ fn thrown_bodies_bounce_off_each_other() {
             assert!((sum - p).length() <= 1e-9 * scale, "{what}: {sum} for {p}");
         }
         let last = samples.last().unwrap();
-        let most = samples[1..]
-            .iter()
-            .map(|sample| sample.energy / samples[1].energy);
+        let most = samples[1..].iter().map(|sample| sample.energy / samples[1].energy);
         let most = most.fold(0.0, f64::max);
-        let overlap = samples
-            .iter()
-            .map(|sample| sample.overlap)
-            .fold(0.0, f64::max);
+        let overlap = samples.iter().map(|sample| sample.overlap).fold(0.0, f64::max);
         let swing = (last.angular - l).length() / l.length().max(scale * 0.1);
-        println!(
-            "{what}: energy at most {most:.5}, overlap {overlap:.5} m, angular momentum {swing:.1e}"
-        );
+        println!("{what}: energy at most {most:.5}, overlap {overlap:.5} m, angular momentum {swing:.1e}");
         // Soft bodies stretch by v / c = 0.3, where the rotations of a sub-step are linearised.
         assert!(most <= 1.005, "{what}: {most}");
         // Relative velocity along x is not what it was: they have met.
@@ -189,14 +154,8 @@ fn fast_bodies_do_not_pass() {
     for case in 0..12 {
         let mut thrown = |x: f64, speed: f64| {
             let mesh = match random.bits() % 2 {
-                0 => SolidMesh::Sphere {
-                    radius: 0.12,
-                    cell_size: 0.06,
-                },
-                _ => SolidMesh::Box {
-                    size: DVec3::new(0.2, 0.15, 0.2),
-                    cells: [2, 2, 2],
-                },
+                0 => SolidMesh::Sphere { radius: 0.12, cell_size: 0.06 },
+                _ => SolidMesh::Box { size: DVec3::new(0.2, 0.15, 0.2), cells: [2, 2, 2] },
             };
             let mut any = || DVec3::from([(); 3].map(|()| random.uniform(-1.0, 1.0)));
             let (axis, shift) = (any().normalize(), 0.05 * any());
@@ -213,24 +172,15 @@ fn fast_bodies_do_not_pass() {
         let bodies = vec![thrown(1.6, 20.0), thrown(2.4, -20.0)];
         // 0.17 m each in a sub-step.
         let samples = run(bodies, 0.0, 1.0 / 120.0, 8);
-        let overlap = samples
-            .iter()
-            .map(|sample| sample.overlap)
-            .fold(0.0, f64::max);
+        let overlap = samples.iter().map(|sample| sample.overlap).fold(0.0, f64::max);
         let [first, last] = [&samples[0], samples.last().unwrap()];
         println!("case {case}: overlap {overlap:.5} m");
         // An element is 0.06 to 0.1 m, and the impact changes its shape by v / c = 0.06 of that.
         assert!(overlap <= 0.01, "case {case}: {overlap} m deep");
-        assert!(
-            last.momentum[0].x < 0.6 * first.momentum[0].x,
-            "case {case}: they met"
-        );
+        assert!(last.momentum[0].x < 0.6 * first.momentum[0].x, "case {case}: they met");
         // Backward Euler damps the waves of the impact within these sub-steps: they may stay together.
         let approach = last.momentum[0].x - last.momentum[1].x;
-        assert!(
-            approach <= 1e-3 * first.momentum[0].x,
-            "case {case}: they do not go on"
-        );
+        assert!(approach <= 1e-3 * first.momentum[0].x, "case {case}: they do not go on");
     }
 }
 
@@ -244,12 +194,8 @@ fn motions_through_surfaces_are_found() {
         DVec3::new(0.0, 0.0, 1.5),
         DVec3::new(0.0, -1.0, 0.0),
     ];
-    let corner = [
-        DVec3::new(0.0, 0.1, 0.0),
-        DVec3::new(-1.0, 2.0, -1.0),
-        DVec3::new(1.0, 2.0, -1.0),
-        DVec3::new(0.0, 2.0, 1.5),
-    ];
+    let corner =
+        [DVec3::new(0.0, 0.1, 0.0), DVec3::new(-1.0, 2.0, -1.0), DVec3::new(1.0, 2.0, -1.0), DVec3::new(0.0, 2.0, 1.5)];
     let faces = |first: u32, points: &[DVec3]| -> Vec<[u32; 3]> {
         let middle = points.iter().sum::<DVec3>() / 4.0;
         let corners = [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]];
@@ -259,28 +205,19 @@ fn motions_through_surfaces_are_found() {
             [a, if turned { c } else { b }, if turned { b } else { c }]
         };
         let faces = corners.iter().map(outwards);
-        faces
-            .map(|face| face.map(|corner| first + corner as u32))
-            .collect()
+        faces.map(|face| face.map(|corner| first + corner as u32)).collect()
     };
     let hits = |moving: &[DVec3], way: DVec3| {
         let positions = [moving, &base].concat();
         let triangles = [faces(0, moving), faces(4, &base)].concat();
-        let ways: Vec<DVec3> = (0..8)
-            .map(|node| if node < 4 { way } else { DVec3::ZERO })
-            .collect();
+        let ways: Vec<DVec3> = (0..8).map(|node| if node < 4 { way } else { DVec3::ZERO }).collect();
         contact_hits(&positions, &ways, &triangles, &[0..4, 4..8], 1e-9)
     };
     let down = hits(&corner, DVec3::new(0.0, -0.3, 0.0));
     assert_eq!(down.len(), 1, "{down:?}");
     assert!(down[0].points.contains(&(0, 1.0)) && down[0].points.len() == 4);
     assert!((down[0].gap - 0.1).abs() < 1e-12 && down[0].normal.distance(DVec3::Y) < 1e-12);
-    for way in [
-        DVec3::Y,
-        DVec3::new(0.0, -0.05, 0.0),
-        DVec3::new(5.0, -0.3, 0.0),
-        DVec3::ZERO,
-    ] {
+    for way in [DVec3::Y, DVec3::new(0.0, -0.05, 0.0), DVec3::new(5.0, -0.3, 0.0), DVec3::ZERO] {
         assert_eq!(hits(&corner, way), [], "{way}");
     }
     // An edge along z comes down on the face's edge along x, beyond whose ends it reaches.
@@ -291,16 +228,11 @@ fn motions_through_surfaces_are_found() {
         DVec3::new(1.0, 2.0, -1.2),
     ];
     let crossed = hits(&edge, DVec3::new(0.0, -0.4, 0.0));
-    let pairs: Vec<Vec<u32>> = (crossed.iter())
-        .map(|pair| pair.points.iter().map(|point| point.0).collect())
-        .collect();
+    let pairs: Vec<Vec<u32>> = (crossed.iter()).map(|pair| pair.points.iter().map(|point| point.0).collect()).collect();
     assert!(pairs.contains(&vec![0, 1, 4, 5]), "{crossed:?}");
     for pair in &crossed {
         let sum: f64 = pair.points.iter().map(|point| point.1).sum();
-        assert!(
-            sum.abs() < 1e-12 && (pair.gap - 0.2).abs() < 1e-9,
-            "{pair:?}"
-        );
+        assert!(sum.abs() < 1e-12 && (pair.gap - 0.2).abs() < 1e-9, "{pair:?}");
     }
 }
 
@@ -342,10 +274,7 @@ fn contact_of_solids_is_refused_where_it_is_missing() {
     for coupling in ["weak", "damping_only"] {
         let text = text(&format!("coupling = \"{coupling}\"\n"));
         let refused = parse(&text).unwrap_err().to_string();
-        assert!(
-            refused.contains("solver.solid_contact") && refused.contains("strong"),
-            "{refused}"
-        );
+        assert!(refused.contains("solver.solid_contact") && refused.contains("strong"), "{refused}");
     }
     for key in ["formulation = \"two_field\"", "precision = \"f32\""] {
         let scene = parse(&text(key)).unwrap();
@@ -356,9 +285,5 @@ fn contact_of_solids_is_refused_where_it_is_missing() {
     }
     let scene = parse(&text("")).unwrap();
     let plan = Plan::new(&scene, None).unwrap();
-    assert!(
-        plan.effects
-            .iter()
-            .any(|effect| effect.name == "solid_contact" && effect.active)
-    );
+    assert!(plan.effects.iter().any(|effect| effect.name == "solid_contact" && effect.active));
 }

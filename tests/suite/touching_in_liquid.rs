@@ -104,24 +104,13 @@ fn numbers(solids: &Solids, state: &State) -> (f64, Vec<DVec3>) {
     let bodies = solids.bodies.iter();
     let ranges: Vec<_> = bodies.clone().map(|body| body.triangles.clone()).collect();
     let pairs = contact_pairs(&positions, &solids.triangles, &ranges, 0.05);
-    let overlap = pairs
-        .iter()
-        .fold(0.0, |worst, pair| f64::max(worst, -pair.gap));
-    (
-        overlap,
-        bodies.map(|body| body.nodes.clone().map(p).sum()).collect(),
-    )
+    let overlap = pairs.iter().fold(0.0, |worst, pair| f64::max(worst, -pair.gap));
+    (overlap, bodies.map(|body| body.nodes.clone().map(p).sum()).collect())
 }
 
 fn converged(report: &StepReport, what: &str) {
     for solve in report.solves() {
-        assert!(
-            matches!(
-                solve.status,
-                SolveStatus::Converged | SolveStatus::Unsettled
-            ),
-            "{what}: {solve:?}"
-        );
+        assert!(matches!(solve.status, SolveStatus::Converged | SolveStatus::Unsettled), "{what}: {solve:?}");
     }
 }
 
@@ -140,9 +129,7 @@ fn run(scene: &Scene, backend: &Backend, steps: usize) -> (f64, u32, u32, State)
         overlap = overlap.max(numbers(&solids, &simulation.state().unwrap()).0);
     }
     let mean = f64::from(total) / steps as f64;
-    println!(
-        "overlap {overlap:.5} m, solves {mean:.2} mean, {solves} most, {wrong} sub-steps unsettled"
-    );
+    println!("overlap {overlap:.5} m, solves {mean:.2} mean, {solves} most, {wrong} sub-steps unsettled");
     (overlap, solves, wrong, simulation.state().unwrap())
 }
 
@@ -169,31 +156,22 @@ fn bars_in_liquid_keep_momentum() {
             let coupling = report.coupling.unwrap();
             let force = DVec3::from(coupling.force) + DVec3::from(coupling.correction);
             let left = (change - report.dt * force).length();
-            assert!(
-                left <= tolerance * whole,
-                "{backend:?}, {step}: {left} kg m/s"
-            );
+            assert!(left <= tolerance * whole, "{backend:?}, {step}: {left} kg m/s");
             assert!(overlap <= 0.005, "{step}: {overlap} m");
             met |= report.solid.unwrap().contact.solves > 1;
             before = after;
         }
         assert!(met, "they meet");
-        assert!(
-            before[0].x < 0.0 && before[1].x > 0.0,
-            "they bounce: {before:?}"
-        );
+        assert!(before[0].x < 0.0 && before[1].x > 0.0, "they bounce: {before:?}");
     }
 }
 
 /// Blocks that fall into water and onto each other settle in few solves and do not enter each other: an element is 0.05 m.
 #[test]
 fn blocks_fall_in_water_without_passing() {
-    for (young, density, separation) in [
-        (1e5, 1500.0, "none"),
-        (1e7, 1500.0, "none"),
-        (1e7, 300.0, "none"),
-        (1e7, 1500.0, "walls"),
-    ] {
+    for (young, density, separation) in
+        [(1e5, 1500.0, "none"), (1e7, 1500.0, "none"), (1e7, 300.0, "none"), (1e7, 1500.0, "walls")]
+    {
         let what = format!("{young} Pa, {density} kg/m^3, separation {separation}");
         println!("{what}");
         let scene = falling(young, density, separation);
@@ -201,10 +179,7 @@ fn blocks_fall_in_water_without_passing() {
         assert!(overlap <= 0.005, "{what}: {overlap} m");
         // In three sub-steps of a hundred a row may pull, as measured beforehand.
         assert!(solves > 1 && wrong <= 2, "{what}: {solves}, {wrong}");
-        assert!(
-            state.node_velocity.iter().flatten().all(|v| v.abs() < 5.0),
-            "{what}"
-        );
+        assert!(state.node_velocity.iter().flatten().all(|v| v.abs() < 5.0), "{what}");
     }
 }
 
@@ -258,14 +233,9 @@ solid_contact = true
             fastest = fastest.max(report.liquid.unwrap().diagnosis.max_speed);
             overlap = overlap.max(numbers(&solids, &simulation.state().unwrap()).0);
             let volume = simulation.volume_ratio(&report).unwrap();
-            assert!(
-                (volume - 1.0).abs() <= 0.02,
-                "{backend:?}, sub-step {step}: {volume}"
-            );
+            assert!((volume - 1.0).abs() <= 0.02, "{backend:?}, sub-step {step}: {volume}");
         }
-        println!(
-            "{backend:?}: {fastest} m/s, overlap {overlap} m, {pressed} sub-steps pressed, {unsettled} unsettled"
-        );
+        println!("{backend:?}: {fastest} m/s, overlap {overlap} m, {pressed} sub-steps pressed, {unsettled} unsettled");
         // Where it starts and where it stops, rows may pull for a sub-step.
         assert!(unsettled <= 2, "{backend:?}: {unsettled} sub-steps");
         assert!(pressed > 12, "the plate presses the block");
@@ -324,10 +294,7 @@ fn balls_bounce_off_each_other_on_both_backends() {
         println!("{backend:?}: {momentum:?}, overlap {overlap} m");
         // An element is 0.03 m; balls of 20 kPa at 2 m/s crush each other.
         assert!(overlap <= 0.01, "{backend:?}: {overlap} m");
-        assert!(
-            momentum[0].x < 0.0 && momentum[1].x > 0.0,
-            "{backend:?}: {momentum:?}"
-        );
+        assert!(momentum[0].x < 0.0 && momentum[1].x > 0.0, "{backend:?}: {momentum:?}");
         momenta.push(momentum);
     }
     if let [on_host, on_device] = &momenta[..] {
@@ -345,8 +312,7 @@ fn contact_on_the_device_passes_the_comparison() {
     }
     for level in [0.4, 0.15] {
         // They meet in the first frame.
-        let compared =
-            compare(&bars(level, 20.0), 1, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        let compared = compare(&bars(level, 20.0), 1, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
         let verdict = compared.verdict();
         verdict.unwrap_or_else(|error| panic!("level {level}: {error}"));
     }

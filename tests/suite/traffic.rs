@@ -33,9 +33,7 @@ fn counts_of_six_scenes_do_not_rise() {
     let (mut worse, mut better) = (Vec::new(), Vec::new());
     for line in lines {
         let cells: Vec<&str> = line.split(',').collect();
-        let [case, scene, scale, setting, f64] = cells[..5] else {
-            panic!("{line}")
-        };
+        let [case, scene, scale, setting, f64] = cells[..5] else { panic!("{line}") };
         if (f64 == "yes") != gpu.has_f64() {
             continue;
         }
@@ -44,13 +42,7 @@ fn counts_of_six_scenes_do_not_rise() {
             _ => vec![setting.to_owned()],
         };
         let found = traffic(scene, scale.parse().unwrap(), &overrides);
-        let counts = [
-            found.waits,
-            found.submissions,
-            found.dispatches,
-            found.bytes_up,
-            found.bytes_down,
-        ];
+        let counts = [found.waits, found.submissions, found.dispatches, found.bytes_up, found.bytes_down];
         let numbers = counts.map(|count| count.to_string()).join(",");
         measured.push(format!("{},{numbers}", cells[..5].join(",")));
         for ((name, count), before) in head.split(',').skip(5).zip(counts).zip(&cells[5..]) {

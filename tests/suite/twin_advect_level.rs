@@ -40,9 +40,7 @@ fn the_level_goes_where_it_goes_in_the_twin() {
         let again = run(-3.0);
         let in_band = case.in_band(gpu, &buffers);
         let distance = gpu.download(&buffers.liquid_distance).unwrap();
-        let before = buffers
-            .padded
-            .unpad(grid.cells, &distance, |phi| f64::from(phi) / grid.dx);
+        let before = buffers.padded.unpad(grid.cells, &distance, |phi| f64::from(phi) / grid.dx);
         let (sides, velocity, dt) = (case.sides, &case.state.velocity, case.dt);
         let twins = |of: &Ballistic| {
             [
@@ -89,16 +87,9 @@ fn the_level_goes_where_it_goes_in_the_twin() {
             (gpu, [twin, twin_first[grid.cell(ijk)]], bound, ijk)
         };
         assert_limited(case.name, of_corrected.iter().map(place));
-        assert!(
-            50 * n_unsteady <= n,
-            "{}: {n_unsteady} of {n} cells hang on a rounding",
-            case.name
-        );
+        assert!(50 * n_unsteady <= n, "{}: {n_unsteady} of {n} cells hang on a rounding", case.name);
     }
-    assert!(
-        2 * n_corrected > n_compared,
-        "{n_corrected} of {n_compared}"
-    );
+    assert!(2 * n_corrected > n_compared, "{n_corrected} of {n_compared}");
 }
 
 /// What is ballistic for positions that are off by up to 1e-4 cells: they may be on either side of a border.
@@ -106,19 +97,13 @@ pub(crate) fn nearby<'a>(ballistic: &Ballistic<'a>) -> Vec<Ballistic<'a>> {
     if ballistic.is_none() {
         return Vec::new();
     }
-    let corners =
-        (0..8).map(|corner| DVec3::from([0, 1, 2].map(|axis| f64::from(corner >> axis & 1) - 0.5)));
-    corners
-        .map(|offset| ballistic.off_by(2e-4 * offset))
-        .collect()
+    let corners = (0..8).map(|corner| DVec3::from([0, 1, 2].map(|axis| f64::from(corner >> axis & 1) - 0.5)));
+    corners.map(|offset| ballistic.off_by(2e-4 * offset)).collect()
 }
 
 /// Whether a sub-step from or to a cell, or a face with its index, stays in the band. Outside it the first order of a transport is that of air on
 /// the device alone.
-pub(crate) fn settled(
-    case: &Case,
-    in_band: &dyn Fn([usize; 3]) -> bool,
-) -> impl Fn([usize; 3]) -> bool + use<> {
+pub(crate) fn settled(case: &Case, in_band: &dyn Fn([usize; 3]) -> bool) -> impl Fn([usize; 3]) -> bool + use<> {
     let grid = &case.grid;
     let cells = (0..grid.n_cells()).map(|cell| grid.cell_at(cell));
     let outside: Vec<[usize; 3]> = cells.filter(|&ijk| !in_band(ijk)).collect();
@@ -132,10 +117,7 @@ pub(crate) fn settled(
 
 /// [`assert_close`] for limited corrections: (gpu, [twin, twin of first order], bound, place). In few places rounding may decide that one of both
 /// stays of first order.
-pub(crate) fn assert_limited(
-    what: &str,
-    places: impl IntoIterator<Item = (f64, [f64; 2], f64, [usize; 3])>,
-) {
+pub(crate) fn assert_limited(what: &str, places: impl IntoIterator<Item = (f64, [f64; 2], f64, [usize; 3])>) {
     let (mut n, mut n_flipped) = (0, 0);
     let mut alike = Vec::new();
     for (gpu, [twin, first], bound, place) in places {
@@ -148,8 +130,5 @@ pub(crate) fn assert_limited(
         }
     }
     assert_close(what, alike);
-    assert!(
-        n_flipped <= 2 + n / 10_000,
-        "{what}: {n_flipped} of {n} decide otherwise"
-    );
+    assert!(n_flipped <= 2 + n / 10_000, "{what}: {n_flipped} of {n} decide otherwise");
 }

@@ -10,12 +10,7 @@ use crate::common::{Random, gpu};
 use crate::liquid_case::{Case, EPS, RADIUS, assert_close, cases, single};
 
 /// Markers after the stage, and what is lost of them.
-fn advected(
-    gpu: &Gpu,
-    case: &Case,
-    buffers: &LiquidBuffers,
-    stage: &Dispatches,
-) -> (Vec<[f32; 4]>, Lost) {
+fn advected(gpu: &Gpu, case: &Case, buffers: &LiquidBuffers, stage: &Dispatches) -> (Vec<[f32; 4]>, Lost) {
     case.write(gpu, buffers);
     let mut recorder = Recorder::new(gpu);
     stage.record(&mut recorder);
@@ -40,18 +35,11 @@ fn filled_cases() -> Vec<Case> {
 
 /// The distance to the surface, m.
 fn surface_distance(case: &Case) -> Vec<f64> {
-    reference::surface_distance(
-        &case.grid,
-        &case.cut.solid_distance,
-        &case.state.liquid_distance,
-    )
+    reference::surface_distance(&case.grid, &case.cut.solid_distance, &case.state.liquid_distance)
 }
 
 fn surface<'a>(case: &Case, distance: &'a [f64]) -> Surface<'a> {
-    Surface {
-        distance,
-        radius: RADIUS * case.grid.dx,
-    }
+    Surface { distance, radius: RADIUS * case.grid.dx }
 }
 
 /// Where the twin puts a marker; otherwise how it is lost.
@@ -94,8 +82,7 @@ fn markers_move_as_in_the_twin() {
             let end = twin(&case, &surface, start);
             let bound = error.at(start.into()) + push_error(&case);
             // Where the gradient of the distance jumps, or its sign decides, a rounding decides: such markers show in the twin.
-            let shifted =
-                [1.0, -1.0].map(|side| twin(&case, &surface, start.map(|x| x + side * bound)));
+            let shifted = [1.0, -1.0].map(|side| twin(&case, &surface, start.map(|x| x + side * bound)));
             let steady = shifted.iter().all(|other| match (other, &end) {
                 (Ok(a), Ok(b)) => (0..3).all(|c| (a[c] - b[c]).abs() < 100.0 * bound),
                 (a, b) => a.is_err() && a == b,
@@ -107,8 +94,7 @@ fn markers_move_as_in_the_twin() {
             }
             assert_eq!(marker[3] == 1.0, end.is_ok(), "{}: alive", case.name);
             match end {
-                Ok(end) => pairs
-                    .extend((0..3).map(|a| (f64::from(marker[a]), end[a], bound, [index, a, 0]))),
+                Ok(end) => pairs.extend((0..3).map(|a| (f64::from(marker[a]), end[a], bound, [index, a, 0]))),
                 Err(lost) => {
                     expected.dropped += lost.dropped;
                     expected.left += lost.left;
@@ -117,17 +103,8 @@ fn markers_move_as_in_the_twin() {
         }
         // How one is lost that hangs on a rounding is not known.
         let more = [lost.dropped - expected.dropped, lost.left - expected.left];
-        assert_eq!(
-            more.iter().sum::<u64>(),
-            n_unsteady_lost,
-            "{}: markers lost",
-            case.name
-        );
-        assert!(
-            case.sides.any() || lost.left == 0,
-            "{}: left a closed domain",
-            case.name
-        );
+        assert_eq!(more.iter().sum::<u64>(), n_unsteady_lost, "{}: markers lost", case.name);
+        assert!(case.sides.any() || lost.left == 0, "{}: left a closed domain", case.name);
         assert!(
             50 * n_unsteady <= markers.len(),
             "{}: {n_unsteady} of {} markers hang on a rounding",
@@ -135,12 +112,7 @@ fn markers_move_as_in_the_twin() {
             markers.len()
         );
         assert_close(case.name, pairs);
-        assert_eq!(
-            (markers, lost),
-            advected(gpu, &case, &buffers, &stage),
-            "{}: again",
-            case.name
-        );
+        assert_eq!((markers, lost), advected(gpu, &case, &buffers, &stage), "{}: again", case.name);
     }
 }
 
@@ -177,10 +149,7 @@ fn the_surface_is_where_the_twin_has_it() {
 #[test]
 fn dropped_markers_stay_dropped() {
     let Some(gpu) = gpu() else { return };
-    let case = cases()
-        .into_iter()
-        .find(|case| case.name == "all solid")
-        .unwrap();
+    let case = cases().into_iter().find(|case| case.name == "all solid").unwrap();
     let buffers = case.upload(gpu);
     let stage = advect_markers(gpu, &buffers, &case.solved(gpu), None).unwrap();
     let mut recorder = Recorder::new(gpu);
@@ -188,11 +157,7 @@ fn dropped_markers_stay_dropped() {
     stage.record(&mut recorder);
     recorder.submit();
     let n = case.state.markers.len();
-    assert_eq!(
-        gpu.download(&buffers.report).unwrap()[0] as usize,
-        n,
-        "counted once"
-    );
+    assert_eq!(gpu.download(&buffers.report).unwrap()[0] as usize, n, "counted once");
     let mut state = case.state.clone();
     buffers.read_state(gpu, n, &mut state).unwrap();
     assert!(state.markers.is_empty(), "left in the state");

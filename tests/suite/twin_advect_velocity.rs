@@ -25,9 +25,8 @@ fn faces_are_corrected_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
     let falling = level_cases().into_iter().map(Case::with_ballistic);
     let cases = level_cases().into_iter().chain(falling);
-    let [corrected, n] = cases
-        .map(|case| assert_carried(gpu, case))
-        .fold([0, 0], |sums, more| [0, 1].map(|n| sums[n] + more[n]));
+    let [corrected, n] =
+        cases.map(|case| assert_carried(gpu, case)).fold([0, 0], |sums, more| [0, 1].map(|n| sums[n] + more[n]));
     assert!(4 * corrected > n, "{corrected} of {n}");
 }
 
@@ -42,10 +41,7 @@ fn assert_carried(gpu: &Gpu, mut case: Case) -> [usize; 2] {
     }
     let buffers = case.upload(gpu);
     let solver = case.solved(gpu);
-    let level = case
-        .effects
-        .level
-        .then(|| level_buffers(gpu, &case, &buffers));
+    let level = case.effects.level.then(|| level_buffers(gpu, &case, &buffers));
     let stage = advect_velocity(gpu, &buffers, &solver, level.as_ref()).unwrap();
     let read = |faces| buffers.read_faces(gpu, faces).unwrap();
     // What earlier sub-steps left in scratch memory must not matter.
@@ -54,9 +50,7 @@ fn assert_carried(gpu: &Gpu, mut case: Case) -> [usize; 2] {
         case.write(gpu, &buffers);
         case.band(gpu, &buffers);
         if let Some(level) = &level {
-            let scratch = [&level.carried_velocity]
-                .into_iter()
-                .chain(&level.sliver_velocity);
+            let scratch = [&level.carried_velocity].into_iter().chain(&level.sliver_velocity);
             for array in scratch {
                 gpu.upload(array, &vec![stale; array.len()]);
             }
@@ -130,40 +124,21 @@ fn assert_carried(gpu: &Gpu, mut case: Case) -> [usize; 2] {
                 });
                 assert_close(case.name, carried.filter(|&(_, _, _, ijk)| in_band(ijk)));
             }
-            None => assert_close(
-                case.name,
-                places
-                    .iter()
-                    .map(|&(gpu, [twin, _], bound, ijk)| (gpu, twin, bound, ijk)),
-            ),
+            None => assert_close(case.name, places.iter().map(|&(gpu, [twin, _], bound, ijk)| (gpu, twin, bound, ijk))),
         }
     }
-    assert!(
-        50 * n_unsteady <= n,
-        "{}: {n_unsteady} of {n} faces hang on a rounding",
-        case.name
-    );
+    assert!(50 * n_unsteady <= n, "{}: {n_unsteady} of {n} faces hang on a rounding", case.name);
     let left = read(&buffers.velocity);
     let blended = Axis::ALL.into_iter().flat_map(|axis| {
         let values = left[axis.index()].iter().zip(&shown[axis.index()]);
-        values
-            .enumerate()
-            .map(move |(face, (&gpu, &twin))| (gpu, twin, first_bound, grid.face_at(axis, face)))
+        values.enumerate().map(move |(face, (&gpu, &twin))| (gpu, twin, first_bound, grid.face_at(axis, face)))
     });
     assert_close(case.name, blended);
     let (again, _) = run(-3.0);
     for axis in Axis::ALL {
-        for (face, values) in faces[axis.index()]
-            .iter()
-            .zip(&again[axis.index()])
-            .enumerate()
-        {
+        for (face, values) in faces[axis.index()].iter().zip(&again[axis.index()]).enumerate() {
             let ijk = grid.face_at(axis, face);
-            assert!(
-                values.0 == values.1 || !in_band(ijk),
-                "{}: again at {ijk:?}",
-                case.name
-            );
+            assert!(values.0 == values.1 || !in_band(ijk), "{}: again at {ijk:?}", case.name);
         }
     }
     [n_corrected, n_compared]

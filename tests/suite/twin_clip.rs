@@ -32,13 +32,8 @@ fn fields_are_those_of_the_clipping() {
         let scene = scene(&[&format!("liquid.surface={surface}")]);
         let (grid, solids) = (scene.grid(), solids_of(&scene).unwrap());
         let obstacles = obstacle_cut(&scene, &grid).unwrap();
-        let plan = LiquidPlan {
-            grid,
-            effects: Effects::of(&scene),
-            n_markers: 1,
-            cfl: scene.time.cfl,
-            real: Real::F32,
-        };
+        let plan =
+            LiquidPlan { grid, effects: Effects::of(&scene), n_markers: 1, cfl: scene.time.cfl, real: Real::F32 };
         // Moved far, bent, and where they were; the last but one leaves the grid cut by the obstacle alone.
         let moves: [&dyn Fn(DVec3) -> DVec3; 6] = [
             &|_| DVec3::ZERO,
@@ -68,13 +63,11 @@ fn fields_are_those_of_the_clipping() {
         let mut on_device = ClipBuffers::new(gpu, &grid, room).unwrap();
         let stage = stages::clip(gpu, &buffers, &on_device).unwrap();
         let mut random = Random(5);
-        let speeds: Vec<f64> = (0..4 * solids.rest.len())
-            .map(|_| f64::from(random.uniform(-2.0, 2.0) as f32))
-            .collect();
+        let speeds: Vec<f64> =
+            (0..4 * solids.rest.len()).map(|_| f64::from(random.uniform(-2.0, 2.0) as f32)).collect();
         let velocity = RealBuffer::new(gpu, "test.velocity", speeds.len(), Real::F32).unwrap();
         velocity.upload(gpu, &speeds);
-        let walls =
-            stages::extrapolate(gpu, &buffers, Some((&on_device, Some(&velocity)))).unwrap();
+        let walls = stages::extrapolate(gpu, &buffers, Some((&on_device, Some(&velocity)))).unwrap();
         for (number, clip) in clips.iter().enumerate() {
             assert!(on_device.fits(clip));
             on_device.write(gpu, clip, &solids.triangles, false);
@@ -116,9 +109,7 @@ fn fields_are_those_of_the_clipping() {
             // Quads with patches, and no others.
             let mut wet: Vec<usize> = (0..padded.quads).filter(|&q| words[q] & 16 != 0).collect();
             let cells = clip.coupling().cells();
-            let mut expected: Vec<usize> = cells
-                .map(|(cell, _)| padded.index(grid.cell_at(cell)) / 4)
-                .collect();
+            let mut expected: Vec<usize> = cells.map(|(cell, _)| padded.index(grid.cell_at(cell)) / 4).collect();
             expected.dedup();
             wet.sort_unstable();
             assert_eq!(wet, expected, "{surface}, clipping {number}");

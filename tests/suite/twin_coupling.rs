@@ -6,8 +6,7 @@
 
 use cutwater::elastic::Solids;
 use cutwater::fields::{
-    CouplingBuffers, CouplingReport, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows,
-    SolidSystemBuffers,
+    CouplingBuffers, CouplingReport, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers,
 };
 use cutwater::geometry::{Coupling, Patch};
 use cutwater::gpu::{Gpu, Real, Recorder};
@@ -77,14 +76,7 @@ impl Joint {
                 patches.push(patch(&mut random, &case, cell, triangle));
             }
         }
-        Joint {
-            name,
-            case,
-            solids,
-            triangles,
-            patches,
-            dt: single(0.0125),
-        }
+        Joint { name, case, solids, triangles, patches, dt: single(0.0125) }
     }
 
     /// J.
@@ -160,10 +152,8 @@ fn joints() -> Vec<Joint> {
         let name = format!("{cells:?}, {blocked} blocked, {air} air");
         joints.push(Joint::new(name, case, share, seed as u64));
     }
-    let dominoes = || {
-        Case::new([10, 10, 10], full)
-            .narrow(|axis, [_, j, _]| f64::from(u8::from(axis.index() == 1 && j % 2 == 1)))
-    };
+    let dominoes =
+        || Case::new([10, 10, 10], full).narrow(|axis, [_, j, _]| f64::from(u8::from(axis.index() == 1 && j % 2 == 1)));
     joints.push(Joint::new("dominoes".into(), dominoes(), 0.3, 11));
     joints.push(Joint::new("no patches".into(), dominoes(), 0.0, 12));
     let tank = Case::new([9, 10, 11], full);
@@ -197,10 +187,7 @@ struct OnDevice<'a> {
 
 impl<'a> OnDevice<'a> {
     fn new(gpu: &'a Gpu, joint: &Joint, precision: Precision) -> OnDevice<'a> {
-        let solver = Solver {
-            precision,
-            ..Solver::default()
-        };
+        let solver = Solver { precision, ..Solver::default() };
         let liquid = Device::holding(gpu, &joint.case, &solver);
         let grid = joint.case.grid;
         let rows = SolidRows::new(&joint.solids).unwrap();
@@ -218,10 +205,7 @@ impl<'a> OnDevice<'a> {
         };
         let fields = SolidBuffers::new(gpu, plan, &joint.solids).unwrap();
         let pairs = pairs(&grid, &joint.coupling());
-        let size = CouplingSize {
-            quads: pairs.len().max(1),
-            pairs: pairs.len().max(1),
-        };
+        let size = CouplingSize { quads: pairs.len().max(1), pairs: pairs.len().max(1) };
         let mut coupling = CouplingBuffers::new(gpu, &liquid.buffers, &solids, size).unwrap();
         coupling.write(gpu, &pairs, joint.units()[0]).unwrap();
         let seal = {
@@ -229,15 +213,7 @@ impl<'a> OnDevice<'a> {
             Seal::new(gpu, &liquid.buffers, of_nodes, &coupling)
         }
         .unwrap();
-        let device = OnDevice {
-            gpu,
-            liquid,
-            fields,
-            solids,
-            coupling,
-            pairs,
-            seal,
-        };
+        let device = OnDevice { gpu, liquid, fields, solids, coupling, pairs, seal };
         device.liquid.prepare_sealed(Some(&device.seal)).submit();
         device
     }
@@ -315,17 +291,10 @@ fn what_prescribed_nodes_take_up_is_the_twins() {
             for &cell in joint.active().closed.iter().flatten() {
                 let pairs = coupling.cell_pairs(cell);
                 let of_node = |node: usize| DVec3::from_slice(&v[4 * node..]);
-                let values = || {
-                    pairs
-                        .iter()
-                        .map(|pair| (pair.value / grid.dx.powi(2), pair.node))
-                };
+                let values = || pairs.iter().map(|pair| (pair.value / grid.dx.powi(2), pair.node));
                 twin[cell] -= values().map(|(j, node)| j.dot(of_node(node))).sum::<f64>();
-                let gross: f64 = values()
-                    .map(|(j, node)| j.abs().dot(of_node(node).abs()))
-                    .sum();
-                bound[cell] =
-                    gross * (EPS + eps * (pairs.len() as f64 + 4.0)) + eps * twin[cell].abs();
+                let gross: f64 = values().map(|(j, node)| j.abs().dot(of_node(node).abs())).sum();
+                bound[cell] = gross * (EPS + eps * (pairs.len() as f64 + 4.0)) + eps * twin[cell].abs();
                 n_changed += usize::from(gross > 0.0);
             }
             let name = format!("{}, {precision:?}", joint.name);
@@ -343,11 +312,7 @@ fn what_pushes_nodes_is_the_twins() {
     for joint in joints() {
         for precision in precisions(gpu) {
             let device = OnDevice::new(gpu, &joint, precision);
-            let (grid, eps, n) = (
-                &joint.case.grid,
-                eps(device.real()),
-                joint.solids.rest.len(),
-            );
+            let (grid, eps, n) = (&joint.case.grid, eps(device.real()), joint.solids.rest.len());
             let mut random = Random(22);
             let potential = noise(&mut random, grid.n_cells());
             let forces = noise(&mut random, 4 * n);
@@ -357,23 +322,22 @@ fn what_pushes_nodes_is_the_twins() {
             device.solids.rhs.upload(gpu, &forces);
             let pushed = cutwater::gpu::RealBuffer::new(gpu, "test.pushed", 4 * n, device.real());
             let pushed = pushed.unwrap();
-            let bound =
-                cutwater::gpu::Kernel::new(gpu, &cutwater::wgsl!("couple_push"), device.real())
-                    .unwrap()
-                    .bind(
-                        gpu,
-                        &[
-                            ("coupling", (&device.coupling.coupling).into()),
-                            ("words", (&device.coupling.words).into()),
-                            ("node_pairs", (&device.coupling.node_pairs).into()),
-                            ("flags", (&buffers.flags).into()),
-                            ("p", (&buffers.potential).into()),
-                            ("rhs", (&device.solids.rhs).into()),
-                            ("pushed", (&pushed).into()),
-                        ],
-                        &[],
-                    )
-                    .unwrap();
+            let bound = cutwater::gpu::Kernel::new(gpu, &cutwater::wgsl!("couple_push"), device.real())
+                .unwrap()
+                .bind(
+                    gpu,
+                    &[
+                        ("coupling", (&device.coupling.coupling).into()),
+                        ("words", (&device.coupling.words).into()),
+                        ("node_pairs", (&device.coupling.node_pairs).into()),
+                        ("flags", (&buffers.flags).into()),
+                        ("p", (&buffers.potential).into()),
+                        ("rhs", (&device.solids.rhs).into()),
+                        ("pushed", (&pushed).into()),
+                    ],
+                    &[],
+                )
+                .unwrap();
             let mut recorder = Recorder::new(gpu);
             recorder.stage("solve", |pass| pass.dispatch(&bound, n));
             recorder.submit();
@@ -419,38 +383,20 @@ fn pressure_within_cells_acts_as_the_twins() {
 
 fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, follows: bool) {
     let OnDevice { gpu, liquid, .. } = device;
-    let (grid, eps, n) = (
-        &joint.case.grid,
-        eps(device.real()),
-        joint.solids.rest.len(),
-    );
+    let (grid, eps, n) = (&joint.case.grid, eps(device.real()), joint.solids.rest.len());
     let (padded, buffers) = (grid.padded(), &liquid.buffers);
     let level = gpu.uniform("test.level", &padded.layout()).unwrap();
     let open = &liquid.open;
-    let faces = follows.then_some(OpenFaces {
-        level: &level,
-        open,
-    });
+    let faces = follows.then_some(OpenFaces { level: &level, open });
     let fields = &device.fields;
     // Gravity may change after the start.
-    let mut stage = PatchPressure::new(
-        gpu,
-        buffers,
-        &device.solids,
-        fields,
-        &device.coupling,
-        (2.0 * at_rest, faces),
-    )
-    .unwrap();
+    let mut stage =
+        PatchPressure::new(gpu, buffers, &device.solids, fields, &device.coupling, (2.0 * at_rest, faces)).unwrap();
     let coupling = joint.coupling();
     let moment = |patch: &Patch, corner: usize| {
         let way = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
         let weighted = patch.barycentric[corner] * patch.area * way + patch.moments[corner];
-        DMat3::from_cols(
-            weighted.x * patch.normal,
-            weighted.y * patch.normal,
-            weighted.z * patch.normal,
-        )
+        DMat3::from_cols(weighted.x * patch.normal, weighted.y * patch.normal, weighted.z * patch.normal)
     };
     let moments = coupling.sums(DMat3::ZERO, &joint.patches, &joint.triangles, moment);
     let scale = single(DENSITY / joint.dt);
@@ -471,9 +417,7 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
 
     // Two differences of potentials, their sum, half of it, to f32, and a factor.
     let stencil = joint.case.twin().stencil;
-    let active: Vec<bool> = (0..grid.n_cells())
-        .map(|cell| stencil.active(cell))
-        .collect();
+    let active: Vec<bool> = (0..grid.n_cells()).map(|cell| stencil.active(cell)).collect();
     let pressure: Vec<f64> = potential.iter().map(|phi| scale * grid.dx * phi).collect();
     let slopes = gpu.download(stage.slopes()).unwrap();
     let mut slope_of = vec![at_rest; grid.n_cells()];
@@ -488,9 +432,7 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
             let slope = DVec3::from([0, 1, 2].map(|a| f64::from(slopes[4 * wet + lane][a])));
             slope_of[cell] = slope;
             let twin = match follows {
-                true => {
-                    pressure_gradient(grid, &joint.case.open, &active, &pressure, at_rest, cell)
-                }
+                true => pressure_gradient(grid, &joint.case.open, &active, &pressure, at_rest, cell),
                 false => at_rest,
             };
             let bound = 4.0 * EPS * twin.abs() + DVec3::splat(8.0 * eps * scale);
@@ -500,18 +442,12 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
     assert_close(&format!("{name}: gradients"), found);
 
     // From the device's gradients: its integrals are f32, a product of three terms and a sum per pair.
-    let twin = patch_pressure(&stencil, &joint.patches, &joint.triangles, n, |cell| {
-        slope_of[cell]
-    });
+    let twin = patch_pressure(&stencil, &joint.patches, &joint.triangles, n, |cell| slope_of[cell]);
     let mut gross = vec![DVec3::ZERO; n];
     let mut count = vec![0.0; n];
     for (pair, moment) in coupling.pairs().iter().zip(&moments) {
         if stencil.active(pair.cell) {
-            let size = DMat3::from_cols(
-                moment.x_axis.abs(),
-                moment.y_axis.abs(),
-                moment.z_axis.abs(),
-            );
+            let size = DMat3::from_cols(moment.x_axis.abs(), moment.y_axis.abs(), moment.z_axis.abs());
             gross[pair.node] += size * slope_of[pair.cell].abs();
             count[pair.node] += 1.0;
         }
@@ -536,8 +472,5 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
         found.push((rhs[4 * node + 3], terms * terms, of_terms, [node, 3, 1]));
     }
     assert_close(&format!("{name}: forces"), found);
-    assert!(
-        joint.patches.is_empty() || gross.iter().any(|g| g.length() > 0.0),
-        "{name}"
-    );
+    assert!(joint.patches.is_empty() || gross.iter().any(|g| g.length() > 0.0), "{name}");
 }

@@ -9,9 +9,7 @@ use glam::DVec3;
 
 use crate::common::{Random, gpu};
 use crate::coupled_case::{self, quads};
-use crate::liquid_case::{
-    ActiveBuffers, DENSITY, EPS, GRAVITY, RADIUS, assert_close, cases, single,
-};
+use crate::liquid_case::{ActiveBuffers, DENSITY, EPS, GRAVITY, RADIUS, assert_close, cases, single};
 
 #[test]
 fn the_liquid_amounts_to_the_twins() {
@@ -19,10 +17,7 @@ fn the_liquid_amounts_to_the_twins() {
     for mut case in cases() {
         let grid = case.grid;
         let (radius, markers) = (RADIUS * grid.dx, &case.state.markers);
-        let phi: Vec<f64> = liquid_distance(&grid, &case.cut, markers, radius)
-            .into_iter()
-            .map(single)
-            .collect();
+        let phi: Vec<f64> = liquid_distance(&grid, &case.cut, markers, radius).into_iter().map(single).collect();
         case.state.liquid_distance.clone_from(&phi);
         let active = ActiveBuffers::new(&case, &phi);
         let buffers = case.upload(gpu);
@@ -37,8 +32,7 @@ fn the_liquid_amounts_to_the_twins() {
         }
         gpu.upload(&buffers.velocity, &buffers.pad_faces(&u));
         let volume = stages::measure_volume(gpu, &buffers).unwrap();
-        let diagnose =
-            stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), None).unwrap();
+        let diagnose = stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), None).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);
             volume.record(&mut recorder);
@@ -50,20 +44,8 @@ fn the_liquid_amounts_to_the_twins() {
         assert_eq!(words, run(), "{}: again", case.name);
         let found = Report::from_words(&words).diagnosis;
         let left = reference::divergence(&case.cut.open, &u, &active.cells.stencil, None);
-        let twin = reference::diagnose(
-            &grid,
-            &case.cut,
-            &phi,
-            &u,
-            left,
-            DENSITY,
-            DVec3::from(GRAVITY),
-        );
-        let deep = if buffers.partials.real == Real::F32 {
-            64.0
-        } else {
-            0.0
-        };
+        let twin = reference::diagnose(&grid, &case.cut, &phi, &u, left, DENSITY, DVec3::from(GRAVITY));
+        let deep = if buffers.partials.real == Real::F32 { 64.0 } else { 0.0 };
         // Five powers of dx, which is an f32; with sums in f32 a rounding per term of a share and level of the tree.
         let rounding = EPS * (8.0 + deep);
         let mass = DENSITY * grid.size().element_product();
@@ -74,28 +56,13 @@ fn the_liquid_amounts_to_the_twins() {
             (found.momentum[0], twin.momentum[0], rounding * mass * speed),
             (found.momentum[1], twin.momentum[1], rounding * mass * speed),
             (found.momentum[2], twin.momentum[2], rounding * mass * speed),
-            (
-                found.kinetic_energy,
-                twin.kinetic_energy,
-                rounding * mass * 3.0 * speed * speed,
-            ),
-            (
-                found.potential_energy,
-                twin.potential_energy,
-                rounding * mass * height,
-            ),
+            (found.kinetic_energy, twin.kinetic_energy, rounding * mass * 3.0 * speed * speed),
+            (found.potential_energy, twin.potential_energy, rounding * mass * height),
             (found.max_speed, twin.max_speed, 0.0),
-            (
-                found.divergence,
-                twin.divergence,
-                4.0 * rounding * 6.0 * speed / grid.dx,
-            ),
+            (found.divergence, twin.divergence, 4.0 * rounding * 6.0 * speed / grid.dx),
         ];
         let places = pairs.into_iter().enumerate();
-        assert_close(
-            case.name,
-            places.map(|(index, (gpu, twin, bound))| (gpu, twin, bound, [index, 0, 0])),
-        );
+        assert_close(case.name, places.map(|(index, (gpu, twin, bound))| (gpu, twin, bound, [index, 0, 0])));
     }
 }
 
@@ -107,17 +74,12 @@ fn not_a_number_is_seen() {
     let buffers = case.upload(gpu);
     case.band(gpu, &buffers);
     let active = ActiveBuffers::new(&case, &case.state.liquid_distance);
-    let diagnose =
-        stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), None).unwrap();
+    let diagnose = stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), None).unwrap();
     let mut recorder = Recorder::new(gpu);
     diagnose.record(&mut recorder);
     recorder.submit();
     let report = Report::from_words(&gpu.download(&buffers.report).unwrap());
-    assert!(
-        report.diagnosis.max_speed.is_nan(),
-        "{:?}",
-        report.diagnosis
-    );
+    assert!(report.diagnosis.max_speed.is_nan(), "{:?}", report.diagnosis);
 }
 
 /// Where solids are, and that quads with patches count once, with what the solids take up. Each run has its largest divergence somewhere
@@ -135,13 +97,7 @@ fn divergence_beside_solids_is_the_twins() {
         let cut = stages::clip(gpu, &buffers, &clip).unwrap();
         let joint = case.joint(gpu);
         let solids = Some((&clip, &joint, &velocity));
-        let diagnose = stages::diagnose(
-            gpu,
-            (&buffers, None),
-            &active.solver(gpu, Real::F32),
-            solids,
-        )
-        .unwrap();
+        let diagnose = stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), solids).unwrap();
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);
         recorder.submit();
@@ -160,9 +116,7 @@ fn divergence_beside_solids_is_the_twins() {
             for (cell, pairs) in coupling.cells() {
                 let sum = pairs.iter().map(|pair| pair.value.dot(v[pair.node].into()));
                 flux[cell] = sum.sum();
-                let sizes = pairs
-                    .iter()
-                    .map(|pair| pair.value.abs().dot(DVec3::from(v[pair.node]).abs()));
+                let sizes = pairs.iter().map(|pair| pair.value.abs().dot(DVec3::from(v[pair.node]).abs()));
                 gross = f64::max(gross, (pairs.len() as f64 + 4.0) * sizes.sum::<f64>());
             }
             let twin = reference::divergence(&case.liquid.cut.open, u, stencil, Some(&flux));

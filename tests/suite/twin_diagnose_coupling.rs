@@ -16,10 +16,7 @@ fn forces_add_up_as_the_twins() {
     let Some(gpu) = gpu() else { return };
     let scene = BaseScene::new(12, &BaseBeam::default()).unwrap();
     let system = scene.coupled_system();
-    let solver = Solver {
-        precision: Precision::F32,
-        ..Solver::default()
-    };
+    let solver = Solver { precision: Precision::F32, ..Solver::default() };
     let device = DeviceScene::new(gpu, &scene, &system, &solver).unwrap();
     device.reset();
     device.record_systems().submit();
@@ -27,9 +24,7 @@ fn forces_add_up_as_the_twins() {
     let grid = device.grid;
     let mut random = Random(3);
     // Also where nothing is active, which counts for nothing.
-    let potential: Vec<f64> = (0..grid.n_cells())
-        .map(|_| f64::from(random.uniform(-1.0, 1.0) as f32))
-        .collect();
+    let potential: Vec<f64> = (0..grid.n_cells()).map(|_| f64::from(random.uniform(-1.0, 1.0) as f32)).collect();
     let padded = grid.padded().pad(grid.cells, &potential, |phi| phi);
     fields.liquid.potential.upload(gpu, &padded);
     // Forces of pressure within cells, over ten decades.
@@ -40,8 +35,7 @@ fn forces_add_up_as_the_twins() {
         .collect();
     let correction = RealBuffer::new(gpu, "test.correction", 4 * n, Real::F32).unwrap();
     correction.upload(gpu, &forces);
-    let stage =
-        |correction| diagnose_coupling(gpu, fields.liquid, fields.coupling, correction).unwrap();
+    let stage = |correction| diagnose_coupling(gpu, fields.liquid, fields.coupling, correction).unwrap();
     let run = |stage: &Dispatches| {
         let mut recorder = Recorder::new(gpu);
         stage.record(&mut recorder);
@@ -72,12 +66,10 @@ fn forces_add_up_as_the_twins() {
         assert!(off <= 64.0 * EPS * gross[axis], "{found:?} and {sum}");
     }
     // As many roundings of the sum of what is an f32 as it is.
-    let sums = forces
-        .chunks_exact(4)
-        .fold([DVec3::ZERO; 2], |[sum, gross], force| {
-            let force = DVec3::from_slice(force);
-            [sum + force, gross + force.abs()]
-        });
+    let sums = forces.chunks_exact(4).fold([DVec3::ZERO; 2], |[sum, gross], force| {
+        let force = DVec3::from_slice(force);
+        [sum + force, gross + force.abs()]
+    });
     for axis in 0..3 {
         let off = (found.correction[axis] - sums[0][axis]).abs();
         assert!(off <= 64.0 * EPS * sums[1][axis], "{found:?} and {sums:?}");

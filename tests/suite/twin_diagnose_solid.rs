@@ -62,41 +62,22 @@ fn the_solids_amount_to_the_twins() {
             let (twin, sizes) = (twin(&case), sizes(&case));
             // A rounding per term of a share and level of the tree; the report keeps 48 digits.
             let n = (case.solids.rest.len() + case.solids.elements.len()) as f64;
-            let rounding =
-                eps(real) * (16.0 + n / buffers.plan.n_summing() as f64) + 2f64.powi(-46);
+            let rounding = eps(real) * (16.0 + n / buffers.plan.n_summing() as f64) + 2f64.powi(-46);
             let mut pairs = vec![
-                (
-                    found.kinetic_energy,
-                    twin.kinetic_energy,
-                    4.0 * rounding * twin.kinetic_energy,
-                ),
-                (
-                    found.potential_energy,
-                    twin.potential_energy,
-                    4.0 * rounding * sizes[2],
-                ),
+                (found.kinetic_energy, twin.kinetic_energy, 4.0 * rounding * twin.kinetic_energy),
+                (found.potential_energy, twin.potential_energy, 4.0 * rounding * sizes[2]),
             ];
             for axis in 0..3 {
-                pairs.push((
-                    found.momentum[axis],
-                    twin.momentum[axis],
-                    rounding * sizes[0],
-                ));
+                pairs.push((found.momentum[axis], twin.momentum[axis], rounding * sizes[0]));
                 let bound = 4.0 * rounding * sizes[1];
-                pairs.push((
-                    found.angular_momentum[axis],
-                    twin.angular_momentum[axis],
-                    bound,
-                ));
+                pairs.push((found.angular_momentum[axis], twin.angular_momentum[axis], bound));
             }
             let places = pairs.into_iter().enumerate();
             // The report's words are f32, and the least of them may be taken for zero.
             let underflow = f64::from(f32::MIN_POSITIVE);
             assert_close(
                 case.name,
-                places.map(|(index, (gpu, twin, bound))| {
-                    (gpu, twin, bound + underflow, [index, 0, 0])
-                }),
+                places.map(|(index, (gpu, twin, bound))| (gpu, twin, bound + underflow, [index, 0, 0])),
             );
             // What the elements found is judged by their own test.
             let n = buffers.plan.n_elements;
@@ -104,19 +85,10 @@ fn the_solids_amount_to_the_twins() {
             let energies = (0..n).map(|element| forces[4 * element + 3]);
             let energy: f64 = energies.sum();
             let rotated = buffers.rotated.download(gpu).unwrap();
-            let determinants: Vec<f64> = (0..n)
-                .map(|element| rotated[4 * (2 * n + element) + 3])
-                .collect();
+            let determinants: Vec<f64> = (0..n).map(|element| rotated[4 * (2 * n + element) + 3]).collect();
             let least = determinants.iter().copied().fold(f64::INFINITY, f64::min);
-            let inverted = determinants
-                .iter()
-                .filter(|&&determinant| determinant <= 0.0)
-                .count();
-            assert!(
-                (found.elastic_energy - energy).abs() <= rounding * energy + underflow,
-                "{}",
-                case.name
-            );
+            let inverted = determinants.iter().filter(|&&determinant| determinant <= 0.0).count();
+            assert!((found.elastic_energy - energy).abs() <= rounding * energy + underflow, "{}", case.name);
             assert_eq!(found.min_det, f64::from(least as f32), "{}", case.name);
             assert_eq!(found.inverted, inverted, "{}", case.name);
             assert_eq!(found.max_speed, twin.max_speed, "{}", case.name);
@@ -124,12 +96,7 @@ fn the_solids_amount_to_the_twins() {
             let slack = if real == Real::F32 { 1e-4 } else { 1e-10 };
             let off = (found.elastic_energy - twin.elastic_energy).abs();
             let bound = slack * (twin.elastic_energy + eps(real) * sizes[3]);
-            assert!(
-                off <= bound,
-                "{}: {off} J of {}",
-                case.name,
-                twin.elastic_energy
-            );
+            assert!(off <= bound, "{}: {off} J of {}", case.name, twin.elastic_energy);
             assert!(
                 (found.min_det - twin.min_det).abs() <= 1e-5 * (1.0 + twin.min_det.abs()),
                 "{}: {} and {}",

@@ -79,10 +79,7 @@ fn stretches(f: DMat3) -> (f64, f64) {
         v = (f.transpose() * (f * v)).normalize_or_zero();
     }
     let first = (f * v).length();
-    (
-        first,
-        (s.x_axis.x + s.y_axis.y + s.z_axis.z - first).max(0.0),
-    )
+    (first, (s.x_axis.x + s.y_axis.y + s.z_axis.z - first).max(0.0))
 }
 
 /// Whether a rotation is proper to rounding, and as near to F as the twin's.
@@ -92,10 +89,7 @@ fn assert_nearest(what: &str, f: DMat3, rotation: DMat3, rounding: f64) {
     let determinant = rotation.determinant();
     assert!(determinant > 0.5, "{what}: determinant {determinant}");
     let (distance, twin) = (norm(f - rotation), norm(f - elastic::rotation(f)));
-    assert!(
-        distance <= twin + 8.0 * rounding * (1.0 + norm(f)),
-        "{what}: {distance} from F, the twin {twin}"
-    );
+    assert!(distance <= twin + 8.0 * rounding * (1.0 + norm(f)), "{what}: {distance} from F, the twin {twin}");
 }
 
 #[test]
@@ -108,27 +102,13 @@ fn elements_are_those_of_the_twin() {
             let buffers = case.upload(gpu, real);
             for (element, found) in elements(gpu, &buffers).iter().enumerate() {
                 let what = format!("{} {real:?}, element {element}", case.name);
-                assert_element(
-                    &what,
-                    &case,
-                    element,
-                    found,
-                    twin.deformations[element],
-                    real,
-                );
+                assert_element(&what, &case, element, found, twin.deformations[element], real);
             }
         }
     }
 }
 
-fn assert_element(
-    what: &str,
-    case: &SolidCase,
-    element: usize,
-    found: &Found,
-    mut twin: Deformation,
-    real: Real,
-) {
+fn assert_element(what: &str, case: &SolidCase, element: usize, found: &Found, mut twin: Deformation, real: Real) {
     let eps = eps(real);
     let solids = &case.solids;
     let body = solids.body_of_element(element);
@@ -137,9 +117,7 @@ fn assert_element(
     let u = corners(case, element);
     let f = DMat3::IDENTITY + twin.gradient;
     // A difference, a product with a rounded gradient, and sums of three terms and one.
-    let terms: f64 = (1..4)
-        .map(|a| (u[a] - u[0]).length() * gradients[a].length())
-        .sum();
+    let terms: f64 = (1..4).map(|a| (u[a] - u[0]).length() * gradients[a].length()).sum();
     let error_f = 6.0 * eps * (1.0 + terms);
     let size = norm(f);
     let longest = gradients.iter().map(|g| g.length()).fold(0.0, f64::max);
@@ -149,21 +127,9 @@ fn assert_element(
     assert_close(
         what,
         [
-            (
-                found.fourth[0],
-                zeta_k * volume * lambda,
-                6.0 * eps * zeta_k * volume * lambda,
-            ),
-            (
-                found.fourth[1],
-                zeta_k * volume * mu,
-                6.0 * eps * zeta_k * volume * mu,
-            ),
-            (
-                found.fourth[2],
-                twin.determinant(),
-                scale * error_f + 6.0 * eps * scale * size,
-            ),
+            (found.fourth[0], zeta_k * volume * lambda, 6.0 * eps * zeta_k * volume * lambda),
+            (found.fourth[1], zeta_k * volume * mu, 6.0 * eps * zeta_k * volume * mu),
+            (found.fourth[2], twin.determinant(), scale * error_f + 6.0 * eps * scale * size),
         ]
         .into_iter()
         .enumerate()
@@ -172,17 +138,12 @@ fn assert_element(
 
     // The rotation. Where it is not determined to 10 %, one that is as near; what follows from it is then judged with it.
     let rotation = rotation_in(gradients, found.rotated);
-    let amplified =
-        norm(DMat3::from_cols(gradients[1], gradients[2], gradients[3]).inverse()) * longest;
+    let amplified = norm(DMat3::from_cols(gradients[1], gradients[2], gradients[3]).inverse()) * longest;
     if body.model == ElasticModel::Corotational {
         assert_nearest(what, f, rotation, error_f + 4.0 * eps * amplified);
     }
     let (_, gap) = stretches(f);
-    let mut error_r = if body.model == ElasticModel::Linear {
-        eps
-    } else {
-        4.0 * eps + 4.0 * error_f / gap
-    };
+    let mut error_r = if body.model == ElasticModel::Linear { eps } else { 4.0 * eps + 4.0 * error_f / gap };
     if error_r > 0.1 {
         error_r = 4.0 * (eps * amplified + error_f);
         twin.rotation = rotation;
@@ -202,27 +163,15 @@ fn assert_element(
         let gradient = gradients[column + 1];
         let rotated = (twin.rotation * gradient)[row];
         [
-            (
-                found.rotated.col(column)[row],
-                rotated,
-                gradient.length() * (error_r + 8.0 * eps),
-            ),
-            (
-                found.forces.col(column)[row],
-                forces.col(column)[row],
-                error_force,
-            ),
+            (found.rotated.col(column)[row], rotated, gradient.length() * (error_r + 8.0 * eps)),
+            (found.forces.col(column)[row], forces.col(column)[row], error_force),
         ]
         .map(|(gpu, twin, bound)| (gpu, twin, bound, [element, row, column]))
     });
     assert_close(what, pairs);
     let energy = volume * elastic::energy_density(twin.strain, lambda, mu);
-    let error_energy = volume * (norm(stress) * error_strain + stiffness * error_strain.powi(2))
-        + 8.0 * eps * energy;
-    assert_close(
-        what,
-        [(found.energy, energy, error_energy, [element, 0, 0])],
-    );
+    let error_energy = volume * (norm(stress) * error_strain + stiffness * error_strain.powi(2)) + 8.0 * eps * energy;
+    assert_close(what, [(found.energy, energy, error_energy, [element, 0, 0])]);
 }
 
 /// Tetrahedra with nodes 0, e1, e2, e3 in their own corners of space, one for each deformation gradient: H is what the nodes are
@@ -235,11 +184,7 @@ fn with_gradients(gradients: &[DMat3]) -> SolidCase {
     let parts: Vec<_> = gradients.iter().map(|_| (unit.clone(), RUBBER)).collect();
     let mut case = SolidCase::new("gradients", solids(&parts));
     for (element, f) in gradients.iter().enumerate() {
-        for (axis, column) in (*f - DMat3::IDENTITY)
-            .to_cols_array_2d()
-            .into_iter()
-            .enumerate()
-        {
+        for (axis, column) in (*f - DMat3::IDENTITY).to_cols_array_2d().into_iter().enumerate() {
             case.displacement[4 * element + axis + 1] = pair(column.into());
         }
     }
@@ -258,9 +203,7 @@ fn rounded(case: &SolidCase, element: usize, real: Real) -> DMat3 {
 }
 
 fn largest(m: DMat3) -> f64 {
-    m.to_cols_array()
-        .into_iter()
-        .fold(0.0, |largest, x| f64::max(largest, x.abs()))
+    m.to_cols_array().into_iter().fold(0.0, |largest, x| f64::max(largest, x.abs()))
 }
 
 /// Reference rotations from a singular value decomposition with 40 digits (mpmath).
@@ -295,10 +238,7 @@ fn rotations_are_the_nearest_proper_ones() {
                 println!("{real:?} {name:20} {error:.1e}, without rounding of F {of_rounded:.1e}");
                 let bound = if real == Real::F32 { 1e-6 } else { 1e-13 };
                 assert!(error <= bound, "{name} {real:?}: {error:e}");
-                assert!(
-                    of_rounded <= bound,
-                    "{name} {real:?}: {of_rounded:e}, F as rounded"
-                );
+                assert!(of_rounded <= bound, "{name} {real:?}: {of_rounded:e}, F as rounded");
             }
         }
     }
@@ -362,10 +302,7 @@ fn rotations_of_ugly_gradients_are_proper_and_as_near_as_rounding_allows() {
 /// Largest error of a nodal acceleration of the bent beam, m/s^2, by elastic forces of this material.
 fn acceleration_error(gpu: &Gpu, real: Real, with_low_parts: bool, material: Material) -> f64 {
     let mut case = bent_beam();
-    let mesh = cutwater::geometry::TetMesh {
-        nodes: case.solids.rest.clone(),
-        elements: case.solids.elements.clone(),
-    };
+    let mesh = cutwater::geometry::TetMesh { nodes: case.solids.rest.clone(), elements: case.solids.elements.clone() };
     case.solids = solids(&[(mesh, material)]);
     let buffers = case.upload(gpu, real);
     if !with_low_parts {
@@ -390,9 +327,7 @@ fn acceleration_error(gpu: &Gpu, real: Real, with_low_parts: bool, material: Mat
         }
     }
     let nodes = error.iter().zip(&solids.mass);
-    nodes
-        .map(|(off, mass)| off.length() / mass)
-        .fold(0.0, f64::max)
+    nodes.map(|(off, mass)| off.length() / mass).fold(0.0, f64::max)
 }
 
 /// numerics.md, section 3: what rounding leaves of the accelerations, which reach 8e3 (1.8e5) m/s^2. With the larger parts of the
@@ -400,11 +335,7 @@ fn acceleration_error(gpu: &Gpu, real: Real, with_low_parts: bool, material: Mat
 #[test]
 fn forces_of_the_bent_beam_are_free_of_noise() {
     let Some(gpu) = gpu() else { return };
-    let light = Material {
-        young: 1e7,
-        density: 500.0,
-        ..RUBBER
-    };
+    let light = Material { young: 1e7, density: 500.0, ..RUBBER };
     for (material, bounds) in [(RUBBER, [0.045, 0.013, 2e-6]), (light, [1.0, 0.27, 4e-5])] {
         let error = |real, both| acceleration_error(gpu, real, both, material);
         let high = error(Real::F32, false);
@@ -413,10 +344,7 @@ fn forces_of_the_bent_beam_are_free_of_noise() {
         assert!(high <= bounds[0], "larger parts alone: {high} m/s^2");
         assert!(both <= bounds[1], "both parts in f32: {both} m/s^2");
         // Or the smaller parts do nothing.
-        assert!(
-            both <= 0.5 * high,
-            "{both} with both parts, {high} with one"
-        );
+        assert!(both <= 0.5 * high, "{both} with both parts, {high} with one");
         if gpu.has_f64() {
             let error = error(Real::F64, true);
             println!("f64: {error:.2e} m/s^2");
@@ -435,17 +363,11 @@ fn free_rotation_gives_no_force() {
         let case = bent_beam().deformed(|x| DVec3::splat(0.5) + turn * (x - DVec3::splat(0.5)));
         for real in SolidCase::reals(gpu) {
             let found = elements(gpu, &case.upload(gpu, real));
-            let largest = found
-                .iter()
-                .map(|found| largest(found.forces))
-                .fold(0.0, f64::max);
+            let largest = found.iter().map(|found| largest(found.forces)).fold(0.0, f64::max);
             // E times the area of a face of an element, m^2.
             let scale = RUBBER.young * 0.5 * 0.04 * 0.04;
             let bound = if real == Real::F32 { 1e-6 } else { 1e-13 };
-            assert!(
-                largest <= bound * scale,
-                "{degrees} {real:?}: {largest} N of {scale}"
-            );
+            assert!(largest <= bound * scale, "{degrees} {real:?}: {largest} N of {scale}");
         }
     }
 }

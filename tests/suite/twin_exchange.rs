@@ -25,10 +25,7 @@ pub(crate) fn scene() -> Scene {
 
 /// Grid and cut cells of a scene with cells of 0.1 m as stored on the device, with its sources and sinks.
 pub(crate) fn stored(scene: &Scene) -> (Grid, CutCells, SourcesAndSinks) {
-    let grid = Grid {
-        dx: f64::from(0.1_f32),
-        ..scene.grid()
-    };
+    let grid = Grid { dx: f64::from(0.1_f32), ..scene.grid() };
     let mut cut = obstacle_cut(scene, &scene.grid()).unwrap().cut;
     for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
         values.iter_mut().for_each(|value| *value = single(*value));
@@ -75,11 +72,7 @@ impl Run {
             },
         )
         .unwrap();
-        Run {
-            case,
-            taps,
-            buffers,
-        }
+        Run { case, taps, buffers }
     }
 
     /// Starts again; the number of markers.
@@ -87,23 +80,18 @@ impl Run {
         self.case.write(gpu, &self.buffers);
         let n = self.case.state.markers.len();
         let slots = MARKERS_PER_CELL * self.taps.source_cells.len();
-        let step = cutwater::fields::Step {
-            n_markers: (n + slots) as u32,
-            ..self.case.step()
-        };
+        let step = cutwater::fields::Step { n_markers: (n + slots) as u32, ..self.case.step() };
         gpu.upload(&self.buffers.step, &[step]);
         n
     }
 }
 
 pub(crate) fn runs() -> [Running; 4] {
-    [(0b101, 0b001), (0b111, 0b010), (0b000, 0), (0b010, 0b010)].map(|(running, starting)| {
-        Running {
-            running,
-            starting,
-            seed: 17,
-            step: 1 << 31 | running,
-        }
+    [(0b101, 0b001), (0b111, 0b010), (0b000, 0), (0b010, 0b010)].map(|(running, starting)| Running {
+        running,
+        starting,
+        seed: 17,
+        step: 1 << 31 | running,
     })
 }
 
@@ -125,44 +113,27 @@ fn markers_come_and_go_as_in_the_twin() {
             seeding.record(&mut recorder);
             recorder.submit();
             let positions = run.buffers.markers.as_ref().unwrap();
-            (
-                gpu.download(positions).unwrap(),
-                gpu.download(&run.buffers.report).unwrap(),
-            )
+            (gpu.download(positions).unwrap(), gpu.download(&run.buffers.report).unwrap())
         };
         let (markers, report) = go();
         assert!((markers.clone(), report.clone()) == go(), "again");
-        let (mut twin, sunk) =
-            reference::sink_markers(grid, &run.taps, run.case.state.markers.clone());
+        let (mut twin, sunk) = reference::sink_markers(grid, &run.taps, run.case.state.markers.clone());
         let n_kept = twin.len();
-        let seeded = reference::seed_markers(
-            grid,
-            &run.taps,
-            running,
-            &run.case.cut.solid_distance,
-            &mut twin,
-        );
+        let seeded = reference::seed_markers(grid, &run.taps, running, &run.case.cut.solid_distance, &mut twin);
         let of_step = Report::from_words(&report);
         assert!(sunk > 0);
         assert_eq!(u64::from(report[18]), sunk, "sinking");
-        assert_eq!(
-            [of_step.emitted, of_step.filled].map(u64::from),
-            [seeded.emitted, seeded.filled]
-        );
+        assert_eq!([of_step.emitted, of_step.filled].map(u64::from), [seeded.emitted, seeded.filled]);
         assert_eq!(seeded.emitted > 0, running.running != 0);
         let alive: Vec<_> = markers.iter().filter(|marker| marker[3] != 0.0).collect();
         assert_eq!(alive.len(), twin.len());
         let bound = EPS * grid.dx * 8.0 * run.case.extent();
         assert_close(
             "positions",
-            alive
-                .iter()
-                .zip(&twin)
-                .enumerate()
-                .flat_map(|(index, (gpu, twin))| {
-                    let bound = if index < n_kept { 0.0 } else { bound };
-                    (0..3).map(move |a| (f64::from(gpu[a]), twin[a], bound, [index, a, 0]))
-                }),
+            alive.iter().zip(&twin).enumerate().flat_map(|(index, (gpu, twin))| {
+                let bound = if index < n_kept { 0.0 } else { bound };
+                (0..3).map(move |a| (f64::from(gpu[a]), twin[a], bound, [index, a, 0]))
+            }),
         );
         // The eighths to keep full have one or more, unless the centre of the cell is in a body, and each new one is in such an eighth.
         let covered = |cell: usize| run.case.cut.solid_distance[cell] < 0.0;
@@ -170,10 +141,7 @@ fn markers_come_and_go_as_in_the_twin() {
         for (index, x) in twin.iter().enumerate() {
             let at = grid.cell(std::array::from_fn(|a| (x[a] / grid.dx) as usize));
             assert!(!covered(at) || index < n_kept, "{x:?} is in a body");
-            let found = run
-                .taps
-                .source_cells
-                .binary_search_by_key(&at, |&(cell, _)| cell);
+            let found = run.taps.source_cells.binary_search_by_key(&at, |&(cell, _)| cell);
             assert!(found.is_ok() || index < n_kept, "{x:?} is in no source");
             if let Ok(found) = found {
                 let low = grid.cell_at(at);
@@ -186,9 +154,7 @@ fn markers_come_and_go_as_in_the_twin() {
         }
         let mut lack = 0;
         let eighths = run.taps.eighths.iter().map(|eighths| eighths.count_ones());
-        for ((&(cell, source), full), &count) in
-            run.taps.source_cells.iter().zip(eighths).zip(&counts)
-        {
+        for ((&(cell, source), full), &count) in run.taps.source_cells.iter().zip(eighths).zip(&counts) {
             let runs = running.running >> source & 1 == 1;
             assert!(count >= full || !runs || covered(cell));
             lack += usize::from(count < full && runs);
@@ -214,17 +180,9 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
         recorder.submit();
         let mut twin = u.clone();
         reference::hold_faces(&run.taps, &cut.open, running.running, &mut twin);
-        assert_eq!(
-            run.buffers
-                .read_faces(gpu, &run.buffers.velocity_next)
-                .unwrap(),
-            twin
-        );
+        assert_eq!(run.buffers.read_faces(gpu, &run.buffers.velocity_next).unwrap(), twin);
         let flux_open = run.taps.flux_apertures(&cut.open, running.running);
-        let solve_open = run
-            .buffers
-            .read_faces(gpu, run.buffers.solve_open())
-            .unwrap();
+        let solve_open = run.buffers.read_faces(gpu, run.buffers.solve_open()).unwrap();
         let fractions = |of: fn(f64) -> f64| {
             let axis = |faces: &Vec<f64>| faces.iter().map(|&open| of(open)).collect();
             solve_open.each_ref().map(axis)
@@ -233,11 +191,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
         assert_eq!(fluxes, flux_open);
         let partly = |(held, open): (&f64, &f64)| *held < *open && *held > 0.0;
         let x = flux_open[0].iter().zip(&cut.open[0]).any(partly);
-        assert_eq!(
-            x,
-            running.running & 0b10 != 0,
-            "a ball covers faces in part"
-        );
+        assert_eq!(x, running.running & 0b10 != 0, "a ball covers faces in part");
         let held = run.taps.pressure_apertures(&cut.open, running.running);
         let closed: [Vec<f64>; 3] = fractions(|open| open.max(0.0));
         assert_eq!(closed, held);
@@ -256,11 +210,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
             let a = axis.index();
             for (face, &open) in cut.open[a].iter().enumerate() {
                 assert_eq!(bit(&words, axis, face, 16), open > 0.0, "{axis:?} {face}");
-                assert_eq!(
-                    bit(&words, axis, face, 0),
-                    valid[a][face],
-                    "{axis:?} {face}"
-                );
+                assert_eq!(bit(&words, axis, face, 0), valid[a][face], "{axis:?} {face}");
                 assert!(!valid[a][face] || velocity[a][face] == twin[a][face]);
             }
         }
@@ -283,10 +233,7 @@ fn a_source_emits_its_velocity_times_its_area() {
     assert_eq!(taps.flux(2), 0.0);
     let held = |axis: Axis, at: [usize; 3]| {
         let face = grid.face(axis, at);
-        let found = taps
-            .faces
-            .iter()
-            .find(|of| of.axis == axis && of.face == face);
+        let found = taps.faces.iter().find(|of| of.axis == axis && of.face == face);
         found.unwrap().prescribed(1).map(|held| held.velocity)
     };
     assert_eq!(held(Axis::X, [3, 5, 4]), Some(0.0), "behind it is a wall");
@@ -298,11 +245,7 @@ fn a_source_emits_its_velocity_times_its_area() {
     // Three cells thick along x: with cfl 3 as fast as it is, with 6 sub-steps are shorter.
     assert!((taps.speed(0.6, 3.0) - 2.0).abs() < 1e-12);
     assert!((taps.speed(0.6, 6.0) - 4.0).abs() < 1e-12);
-    assert!(
-        (taps.speed(0.1, 6.0) - 18.0).abs() < 1e-12,
-        "{}",
-        taps.speed(0.1, 6.0)
-    );
+    assert!((taps.speed(0.1, 6.0) - 18.0).abs() < 1e-12, "{}", taps.speed(0.1, 6.0));
 }
 
 /// With a level a jet has the same markers for all lengths of the sub-steps, and the density of liquid.
@@ -319,22 +262,10 @@ fn the_markers_of_a_jet_do_not_depend_on_the_sub_steps() {
         let dt = duration / n_steps as f64;
         let mut markers: Vec<[f64; 3]> = Vec::new();
         for step in 0..n_steps {
-            let running = Running {
-                running: 1,
-                starting: u32::from(step == 0),
-                seed: 17,
-                step: step as u32,
-            };
+            let running = Running { running: 1, starting: u32::from(step == 0), seed: 17, step: step as u32 };
             markers.iter_mut().for_each(|x| x[0] += 1.5 * dt);
             let lattices = taps.lattices(&grid, step as f64 * dt, dt);
-            reference::emit_markers(
-                &grid,
-                &taps,
-                running,
-                &lattices,
-                &cut.solid_distance,
-                &mut markers,
-            );
+            reference::emit_markers(&grid, &taps, running, &lattices, &cut.solid_distance, &mut markers);
         }
         // Those that passed the outlet after the first sub-step.
         let end = 0.3 + 1.5 * (duration - dt);
@@ -371,11 +302,7 @@ fn no_cell_of_a_source_is_filled_for_ever() {
     let taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
     let at_rest = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
     let far = far_below(&grid);
-    let normals = [
-        DVec3::X,
-        DVec3::new(1.0, 1.0, 0.0),
-        DVec3::new(0.5, -1.0, 0.75),
-    ];
+    let normals = [DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.5, -1.0, 0.75)];
     for normal in normals.map(DVec3::normalize) {
         for level in [-0.13, -0.01, 0.0, 0.03] {
             let height = |cell| normal.dot(grid.cell_centre(grid.cell_at(cell)) - 0.5) - level;
@@ -386,12 +313,7 @@ fn no_cell_of_a_source_is_filled_for_ever() {
             let mut markers: Vec<[f64; 3]> = Vec::new();
             let mut emitted: Vec<u64> = Vec::new();
             for step in 0..32 {
-                let running = Running {
-                    running: 1,
-                    starting: 0,
-                    seed: 17,
-                    step,
-                };
+                let running = Running { running: 1, starting: 0, seed: 17, step };
                 (markers, _) = reference::advect_markers(
                     &grid,
                     Sides::default(),
@@ -402,8 +324,7 @@ fn no_cell_of_a_source_is_filled_for_ever() {
                     &markers,
                     0.01,
                 );
-                let seeded =
-                    reference::seed_markers(&grid, &taps, running, &solid_distance, &mut markers);
+                let seeded = reference::seed_markers(&grid, &taps, running, &solid_distance, &mut markers);
                 emitted.push(seeded.emitted);
             }
             let what = format!("{normal}, {level}: {emitted:?}");

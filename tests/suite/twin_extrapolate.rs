@@ -40,11 +40,7 @@ fn slip_along_solids_is_the_twins() {
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);
         recorder.submit();
-        let walls = MovingWalls {
-            clip: &case.clip,
-            triangles: &case.solids.triangles,
-            velocity: &case.velocity,
-        };
+        let walls = MovingWalls { clip: &case.clip, triangles: &case.solids.triangles, velocity: &case.velocity };
         let [n_slipping, _] = assert_layers(gpu, &case.liquid, &buffers, &stage, Some(walls));
         let near = case.clip.coupling().pairs().len();
         assert!(n_slipping > 0 && (near > 0 || case.liquid.name == "far away"));

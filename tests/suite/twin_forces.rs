@@ -15,10 +15,7 @@ fn gravity_is_added_as_in_the_twin() {
     for case in cases() {
         let buffers = case.upload(gpu);
         case.band(gpu, &buffers);
-        gpu.upload(
-            &buffers.velocity_next,
-            &buffers.pad_faces(&case.state.velocity),
-        );
+        gpu.upload(&buffers.velocity_next, &buffers.pad_faces(&case.state.velocity));
         let stage = forces(gpu, &buffers).unwrap();
         let mut recorder = Recorder::new(gpu);
         stage.record(&mut recorder);
@@ -35,22 +32,13 @@ fn gravity_is_added_as_in_the_twin() {
                 case.name,
                 faces[a].iter().enumerate().map(|(face, &gpu)| {
                     let ijk = case.grid.face_at(axis, face);
-                    let twin = if in_band(ijk) {
-                        twin[a][face]
-                    } else {
-                        case.state.velocity[a][face]
-                    };
+                    let twin = if in_band(ijk) { twin[a][face] } else { case.state.velocity[a][face] };
                     (gpu, twin, bound, ijk)
                 }),
             );
         }
         // Nothing but faces: spare lanes stay 0, or samples beyond the walls would see them.
         let padded = gpu.download(&buffers.velocity_next).unwrap();
-        assert_eq!(
-            padded,
-            buffers.pad_faces(&faces),
-            "{}: spare lanes",
-            case.name
-        );
+        assert_eq!(padded, buffers.pad_faces(&faces), "{}: spare lanes", case.name);
     }
 }

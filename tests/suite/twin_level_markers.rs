@@ -56,27 +56,14 @@ fn xyz(word: [f32; 4]) -> [f64; 3] {
 }
 
 /// Positions and velocities on the device, each with its fourth component.
-fn markers_of(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-) -> (Vec<[f32; 4]>, Vec<[f32; 4]>) {
+fn markers_of(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> (Vec<[f32; 4]>, Vec<[f32; 4]>) {
     let markers = gpu.download(liquid.markers.as_ref().unwrap()).unwrap();
     (markers, gpu.download(&level.marker_velocity).unwrap())
 }
 
 /// Where the twin takes one marker, with its velocity; otherwise how it is lost.
-fn moved(
-    case: &Case,
-    position: [f64; 3],
-    velocity: [f64; 3],
-    spray: bool,
-) -> Result<([f64; 3], [f64; 3]), Lost> {
-    let mut one = Markers {
-        position: vec![position],
-        velocity: vec![velocity],
-        spray: vec![spray],
-    };
+fn moved(case: &Case, position: [f64; 3], velocity: [f64; 3], spray: bool) -> Result<([f64; 3], [f64; 3]), Lost> {
+    let mut one = Markers { position: vec![position], velocity: vec![velocity], spray: vec![spray] };
     let (lost, lost_spray) = reference::advect_level_markers(
         &case.grid,
         case.sides,
@@ -111,10 +98,7 @@ fn a_levels_markers_move_as_in_the_twin() {
         // The midpoint rule without a surface above: as far below it as it matters.
         let (grid, dt) = (&case.grid, case.dt);
         let below = far_below(grid);
-        let surface = Surface {
-            distance: &below,
-            radius: 0.2 * grid.dx,
-        };
+        let surface = Surface { distance: &below, radius: 0.2 * grid.dx };
         let error = MarkerError::new(grid, &case.state.velocity, surface, dt);
         let bodies = f64::from(u8::from(case.effects.obstacles));
         // Push-out moves by the distance's error and turns by the normal's: as in twin_advect_markers.
@@ -127,11 +111,7 @@ fn a_levels_markers_move_as_in_the_twin() {
             let way = dt * (DVec3::from(v).length() + dt * gravity.length());
             // A position has its size and its way rounded: a product, a sum of three, the factor dt^2 / 2 dx g has four more.
             let flight = EPS * (2.0 * case.extent() * grid.dx + 8.0 * way);
-            let bound = if spray {
-                flight
-            } else {
-                error.at(start.into())
-            } + push;
+            let bound = if spray { flight } else { error.at(start.into()) } + push;
             let end = moved(&case, start, v, spray);
             // A velocity has two roundings. Without a part it also has the normal's error: a difference of distances up to three cells with
             // 12 roundings, and the change of a gradient with the position.
@@ -143,8 +123,7 @@ fn a_levels_markers_move_as_in_the_twin() {
                 let other = moved(&case, start.map(|x| x + side * bound), v, spray);
                 match (other, &end) {
                     (Ok(a), Ok(b)) => (0..3).all(|c| {
-                        (a.0[c] - b.0[c]).abs() < 100.0 * bound
-                            && (a.1[c] - b.1[c]).abs() <= 100.0 * of_speed
+                        (a.0[c] - b.0[c]).abs() < 100.0 * bound && (a.1[c] - b.1[c]).abs() <= 100.0 * of_speed
                     }),
                     (a, b) => a.is_err() && a == *b,
                 }
@@ -177,11 +156,7 @@ fn a_levels_markers_move_as_in_the_twin() {
         }
         assert_close(case.name, pairs);
         assert_close(case.name, speeds);
-        assert!(
-            50 * n_unsteady <= markers.len(),
-            "{}: {n_unsteady}",
-            case.name
-        );
+        assert!(50 * n_unsteady <= markers.len(), "{}: {n_unsteady}", case.name);
         let counted = [Report::DROPPED, Report::LEAVING].map(|word| u64::from(report[word]));
         let more = [counted[0] - lost.dropped, counted[1] - lost.left];
         assert_eq!(more.iter().sum::<u64>(), n_unsteady_lost, "{}", case.name);
@@ -303,10 +278,7 @@ fn the_band_of_a_level_is_where_liquid_may_be() {
 #[test]
 fn what_leaves_the_band_of_a_level_is_air() {
     let Some(gpu) = gpu() else { return };
-    let mut case = level_cases()
-        .into_iter()
-        .find(|case| case.name == "far corner")
-        .unwrap();
+    let mut case = level_cases().into_iter().find(|case| case.name == "far corner").unwrap();
     // A drop in the corner with the marker, and liquid beyond its band in quads that no longer count.
     let grid = case.grid;
     let drop = |cell: usize| {
@@ -330,11 +302,7 @@ fn what_leaves_the_band_of_a_level_is_air() {
     for cell in 0..grid.n_cells() {
         let ijk = grid.cell_at(cell);
         assert!(!now(ijk), "{ijk:?}");
-        let expected = if in_band(ijk) {
-            5.0 * grid.dx as f32
-        } else {
-            0.5
-        };
+        let expected = if in_band(ijk) { 5.0 * grid.dx as f32 } else { 0.5 };
         assert_eq!(phi[liquid.padded.index(ijk)], expected, "{ijk:?}");
         n_left += usize::from(in_band(ijk));
     }
@@ -351,15 +319,11 @@ impl Entering {
     /// The carried level is deeper than the level by half a cell, with noise: cells enter and leave the band.
     fn of(case: &Case) -> Entering {
         let mut random = Random(29);
-        let mut deeper =
-            |phi: f64| single((phi - 0.5 + random.uniform(-0.3, 0.3)).clamp(-5.0, 5.0));
+        let mut deeper = |phi: f64| single((phi - 0.5 + random.uniform(-0.3, 0.3)).clamp(-5.0, 5.0));
         let carried = level_of(case).into_iter().map(&mut deeper).collect();
         let mut random = Random(31);
         let excess = (0..case.grid.n_cells()).map(|_| single(random.uniform(-0.4, 0.4)));
-        Entering {
-            excess: excess.collect(),
-            carried,
-        }
+        Entering { excess: excess.collect(), carried }
     }
 
     fn write(&self, gpu: &Gpu, case: &Case, liquid: &LiquidBuffers, level: &LevelBuffers) {
@@ -369,10 +333,7 @@ impl Entering {
         // New slots contain anything.
         let n = case.state.markers.len();
         let mut velocity = gpu.download(&level.marker_velocity).unwrap();
-        velocity
-            .iter_mut()
-            .skip(n)
-            .for_each(|word| *word = [7.0; 4]);
+        velocity.iter_mut().skip(n).for_each(|word| *word = [7.0; 4]);
         gpu.upload(&level.marker_velocity, &velocity);
         gpu.upload(&level.marker_counts, &[3, 2, 0]);
     }
@@ -388,10 +349,7 @@ impl Entering {
         let level: Vec<f64> = level_of(case).iter().map(|phi| phi + off).collect();
         let distance = case.cut.solid_distance.iter();
         let distance: Vec<f64> = distance.map(|d| d + off * case.grid.dx).collect();
-        let levels = Levels {
-            carried: &carried,
-            level: &level,
-        };
+        let levels = Levels { carried: &carried, level: &level };
         let [deleted, seeded] = reference::marker_band(
             &case.grid,
             &distance,
@@ -424,11 +382,7 @@ fn steepest(case: &Case, values: &[f64]) -> f64 {
 }
 
 /// Whether a list contains another in its order.
-fn contains(
-    list: &[[f64; 3]],
-    other: &[[f64; 3]],
-    equal: impl Fn(&[f64; 3], &[f64; 3]) -> bool,
-) -> bool {
+fn contains(list: &[[f64; 3]], other: &[[f64; 3]], equal: impl Fn(&[f64; 3], &[f64; 3]) -> bool) -> bool {
     let mut rest = list.iter();
     other.iter().all(|one| rest.any(|next| equal(next, one)))
 }
@@ -462,10 +416,7 @@ fn the_band_of_markers_is_that_of_the_twin() {
         let used = n + report.seeded as usize;
         assert_eq!(args[3] as usize, used, "{}", case.name);
         assert_eq!(args[0] as usize, used.div_ceil(64), "{}", case.name);
-        assert_eq!(
-            [report.flying, report.spray_lost, report.missing],
-            [3, 2, 0]
-        );
+        assert_eq!([report.flying, report.spray_lost, report.missing], [3, 2, 0]);
         let [kept, seeds] = kept_and_seeded(&markers, n, used);
         assert_eq!(seeds.len(), report.seeded as usize, "{}", case.name);
         assert_eq!(n - kept.len(), report.deleted as usize, "{}", case.name);
@@ -485,11 +436,7 @@ fn the_band_of_markers_is_that_of_the_twin() {
         let same = |a: &[f64; 3], b: &[f64; 3]| a == b;
         assert!(contains(&kept, &fewest.0, same), "{}: deleted", case.name);
         assert!(contains(&most.0, &kept, same), "{}: kept", case.name);
-        assert!(
-            contains(&seeds, &fewest.1, equal),
-            "{}: not seeded",
-            case.name
-        );
+        assert!(contains(&seeds, &fewest.1, equal), "{}: not seeded", case.name);
         assert!(contains(&most.1, &seeds, equal), "{}: seeded", case.name);
         n_doubtful += most.0.len() - fewest.0.len() + most.1.len() - fewest.1.len();
         n_decided += n + 8 * case.grid.n_cells();
@@ -506,20 +453,11 @@ fn the_band_of_markers_is_that_of_the_twin() {
         check_capacity(gpu, &case, &entering, &seeds, &markers[n..used]);
     }
     assert!(n_deleted > 300 && n_seeded > 300, "{n_deleted} {n_seeded}");
-    assert!(
-        n_doubtful <= 2 + n_decided / 10_000,
-        "{n_doubtful} of {n_decided} hang on a rounding"
-    );
+    assert!(n_doubtful <= 2 + n_decided / 10_000, "{n_doubtful} of {n_decided} hang on a rounding");
 }
 
 /// With room for half of the seeds, the first half is seeded, and the rest is reported.
-fn check_capacity(
-    gpu: &Gpu,
-    case: &Case,
-    entering: &Entering,
-    seeds: &[[f64; 3]],
-    expected: &[[f32; 4]],
-) {
+fn check_capacity(gpu: &Gpu, case: &Case, entering: &Entering, seeds: &[[f64; 3]], expected: &[[f32; 4]]) {
     let (n, room) = (case.state.markers.len(), seeds.len() / 2);
     let (liquid, level) = upload(gpu, case, room);
     entering.write(gpu, case, &liquid, &level);
@@ -530,15 +468,9 @@ fn check_capacity(
     assert_eq!(report.seeded as usize, room, "{}", case.name);
     assert_eq!(report.missing as usize, seeds.len() - room, "{}", case.name);
     assert_eq!(bits(&markers[n..n + room]), bits(&expected[..room]));
-    assert_eq!(
-        gpu.download(&level.marker_args).unwrap()[3] as usize,
-        n + room
-    );
+    assert_eq!(gpu.download(&level.marker_args).unwrap()[3] as usize, n + room);
     // Without the dead markers there is room for the rest, in their order.
-    let kept: Vec<_> = markers
-        .into_iter()
-        .filter(|marker| marker[3] == 1.0)
-        .collect();
+    let kept: Vec<_> = markers.into_iter().filter(|marker| marker[3] == 1.0).collect();
     if kept.len() + seeds.len() - room > n + room {
         return;
     }
@@ -587,10 +519,7 @@ fn spray_flies_and_lands_as_in_the_twin() {
         let stage = stages::spray(gpu, &liquid, &level).unwrap();
         // As `marker_band` writes them.
         let args = [&level.marker_args, &liquid.band_args].map(|args| gpu.download(args).unwrap());
-        gpu.upload(
-            &level.landing_args,
-            &args.map(|args| args[..4].to_vec()).concat(),
-        );
+        gpu.upload(&level.landing_args, &args.map(|args| args[..4].to_vec()).concat());
         // `landing` uses the velocity, which the solve then writes.
         let run = || {
             gpu.upload(&liquid.velocity_next, &liquid.pad_faces(&u_next));
@@ -608,10 +537,7 @@ fn spray_flies_and_lands_as_in_the_twin() {
         let state = &case.state;
         let mut twin = Markers {
             position: live.iter().map(|&index| state.markers[index]).collect(),
-            velocity: live
-                .iter()
-                .map(|&index| state.marker_velocity[index])
-                .collect(),
+            velocity: live.iter().map(|&index| state.marker_velocity[index]).collect(),
             spray: live.iter().map(|&index| state.spray[index]).collect(),
         };
         let landed = reference::land(grid, &state.liquid_distance, &mut twin);
@@ -674,20 +600,12 @@ fn check_landing(
     let (grid, phi) = (&case.grid, &case.state.liquid_distance);
     let open_volumes = reference::open_volumes(grid, &case.cut.solid_distance);
     let level = level_of(case);
-    let volume = |cell: usize| {
-        open_volumes[cell] / grid.cell_volume() * reference::interpolant_part(grid, &level, cell)
-    };
+    let volume =
+        |cell: usize| open_volumes[cell] / grid.cell_volume() * reference::interpolant_part(grid, &level, cell);
     let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
     let mut twin = u_next.clone();
     let open = &case.cut.open;
-    reference::take_landing(
-        grid,
-        open,
-        (phi, &volumes),
-        (markers, landed),
-        case.dt,
-        &mut twin,
-    );
+    reference::take_landing(grid, open, (phi, &volumes), (markers, landed), case.dt, &mut twin);
     let quad = liquid.padded.len();
     let speed = grid.dx / case.dt;
     let mut pairs = Vec::new();
@@ -707,8 +625,7 @@ fn check_landing(
         for (face, &[n, weight]) in near.iter().enumerate() {
             // Both paths round to 2^-16; a weight has three factors with three roundings of a position in cells, over a sum that may be
             // 1/256. A filled part: as in `twin_liquid_components`.
-            let of_weight =
-                2.0 * (-16.0_f64).exp2() + 256.0 * 9.0 * 4.0 * EPS * (case.extent() + 1.0);
+            let of_weight = 2.0 * (-16.0_f64).exp2() + 256.0 * 9.0 * 4.0 * EPS * (case.extent() + 1.0);
             let speeds = 3.0 * case.speed() + 2.0 * 3.0;
             let mass = reference::face_mass(grid, &volumes, axis, face);
             let off = n / 8.0 * of_weight * (speeds + speed) + 400.0 * EPS * speeds * n.min(1.0);
@@ -753,10 +670,7 @@ fn seeds_of_the_sub_step_get_a_velocity() {
 #[test]
 fn dead_markers_lose_their_slots_and_the_others_keep_their_order() {
     let Some(gpu) = gpu() else { return };
-    let case = level_cases()
-        .into_iter()
-        .find(|case| case.name == "block")
-        .unwrap();
+    let case = level_cases().into_iter().find(|case| case.name == "block").unwrap();
     let n = case.state.markers.len();
     let (liquid, level) = upload(gpu, &case, 100);
     let buffer = liquid.markers.as_ref().unwrap();
@@ -771,10 +685,7 @@ fn dead_markers_lose_their_slots_and_the_others_keep_their_order() {
     level.read_markers(gpu, &alive, &mut before).unwrap();
     let live: Vec<usize> = (0..n).filter(|&index| !dead(index)).collect();
     let positions: Vec<[f64; 3]> = live.iter().map(|&i| case.state.markers[i]).collect();
-    let velocity: Vec<[f64; 3]> = live
-        .iter()
-        .map(|&i| case.state.marker_velocity[i])
-        .collect();
+    let velocity: Vec<[f64; 3]> = live.iter().map(|&i| case.state.marker_velocity[i]).collect();
     let spray: Vec<bool> = live.iter().map(|&i| case.state.spray[i]).collect();
     assert_eq!(before.markers, positions);
     assert_eq!(before.marker_velocity, velocity);
@@ -783,10 +694,7 @@ fn dead_markers_lose_their_slots_and_the_others_keep_their_order() {
     level.compact(gpu, &alive).unwrap();
     assert_eq!(alive.iter().filter(|alive| **alive).count(), live.len());
     let args = gpu.download(&level.marker_args).unwrap();
-    assert_eq!(
-        args,
-        [live.len().div_ceil(64) as u32, 1, 1, live.len() as u32]
-    );
+    assert_eq!(args, [live.len().div_ceil(64) as u32, 1, 1, live.len() as u32]);
     let mut after = State::at_rest(&case.grid);
     let alive = liquid.read_state(gpu, live.len(), &mut after).unwrap();
     level.read_markers(gpu, &alive, &mut after).unwrap();
@@ -795,9 +703,5 @@ fn dead_markers_lose_their_slots_and_the_others_keep_their_order() {
     assert_eq!(after.marker_velocity, before.marker_velocity);
     assert_eq!(after.spray, before.spray);
     let markers = gpu.download(buffer).unwrap();
-    assert!(
-        markers[live.len()..]
-            .iter()
-            .all(|marker| *marker == [0.0; 4])
-    );
+    assert!(markers[live.len()..].iter().all(|marker| *marker == [0.0; 4]));
 }

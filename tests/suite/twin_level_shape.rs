@@ -40,9 +40,7 @@ struct Run<'a> {
 
 /// All cases, on all quads and on the band.
 fn runs<'a>(gpu: &'a Gpu, cases: &'a [Case]) -> impl Iterator<Item = Run<'a>> {
-    let both = cases
-        .iter()
-        .flat_map(|case| [false, true].map(|narrow| (case, narrow)));
+    let both = cases.iter().flat_map(|case| [false, true].map(|narrow| (case, narrow)));
     both.map(move |(case, narrow)| Run::new(gpu, case, narrow))
 }
 
@@ -80,25 +78,14 @@ impl<'a> Run<'a> {
             at_edge = (0..at_edge.len()).map(near).collect();
         }
         let name = format!("{}{}", case.name, if narrow { ", band" } else { "" });
-        Run {
-            gpu,
-            case,
-            name,
-            liquid,
-            level,
-            in_band,
-            at_edge,
-        }
+        Run { gpu, case, name, liquid, level, in_band, at_edge }
     }
 
     /// Positions and spray of the markers that are not deleted.
     fn markers(&self) -> (Vec<[f64; 3]>, Vec<bool>) {
         let state = &self.case.state;
         let pairs = state.markers.iter().zip(&state.spray).enumerate();
-        pairs
-            .filter(|(n, _)| n % DELETED != 3)
-            .map(|(_, (x, spray))| (*x, *spray))
-            .unzip()
+        pairs.filter(|(n, _)| n % DELETED != 3).map(|(_, (x, spray))| (*x, *spray)).unzip()
     }
 
     /// Writes a field on the band and nonsense elsewhere. Returns it as f32 has it, with a value outside the band.
@@ -112,8 +99,7 @@ impl<'a> Run<'a> {
         }
         self.gpu.upload(to, &device);
         let seen = values.iter().zip(&self.in_band);
-        seen.map(|(&value, &inside)| if inside { single(value) } else { outside })
-            .collect()
+        seen.map(|(&value, &inside)| if inside { single(value) } else { outside }).collect()
     }
 
     fn put_level(&self, to: &Buffer<f32>, values: &[f64]) -> Vec<f64> {
@@ -138,24 +124,13 @@ impl<'a> Run<'a> {
     }
 
     fn cells(&self) -> LevelCells<'_> {
-        LevelCells {
-            grid: &self.case.grid,
-            cut: &self.case.cut,
-        }
+        LevelCells { grid: &self.case.grid, cut: &self.case.cut }
     }
 
     /// The case's level, its slope times a factor, air at the edge of the band.
     fn level_values(&self, factor: f64) -> Vec<f64> {
         let level = level_of(self.case).into_iter().zip(&self.at_edge);
-        level
-            .map(|(phi, &edge)| {
-                if edge {
-                    AIR
-                } else {
-                    (factor * phi).clamp(-AIR, AIR)
-                }
-            })
-            .collect()
+        level.map(|(phi, &edge)| if edge { AIR } else { (factor * phi).clamp(-AIR, AIR) }).collect()
     }
 
     fn in_body(&self, cell: usize) -> bool {
@@ -185,9 +160,7 @@ impl<'a> Run<'a> {
         keep: impl Fn(usize) -> bool,
     ) {
         let grid = &self.case.grid;
-        let cells: Vec<usize> = (0..device.len())
-            .filter(|&cell| self.in_band[cell] && keep(cell))
-            .collect();
+        let cells: Vec<usize> = (0..device.len()).filter(|&cell| self.in_band[cell] && keep(cell)).collect();
         let off = |&&cell: &&usize| {
             let difference = (device[cell] - twin[cell]).abs();
             difference > bound(cell) || difference.is_nan()
@@ -242,8 +215,7 @@ fn markers_fill_the_surroundings_as_in_the_twin() {
             let at = x.map(|x| (x / grid.dx).floor() as i64);
             for n in 0..27 {
                 let cell = [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1];
-                let clamped: [usize; 3] =
-                    std::array::from_fn(|a| cell[a].clamp(0, grid.cells[a] as i64 - 1) as usize);
+                let clamped: [usize; 3] = std::array::from_fn(|a| cell[a].clamp(0, grid.cells[a] as i64 - 1) as usize);
                 near[grid.cell(clamped)] += 1.0;
             }
         }
@@ -340,8 +312,7 @@ fn the_level_is_redistanced_as_in_the_twin() {
         // At the edge of the band all is air, but for bodies: the extension on the device stops there.
         let whole = |cell: usize| !run.at_edge[cell] || !run.beside_body(cell);
         run.compare("redistanced level", [&device, &twin], bound, whole);
-        for cell in (0..level.len()).filter(|&cell| run.in_band[cell] && twin[cell] != level[cell])
-        {
+        for cell in (0..level.len()).filter(|&cell| run.in_band[cell] && twin[cell] != level[cell]) {
             changed[usize::from(level[cell].abs() < 0.5)] += 1;
         }
     }
@@ -393,33 +364,21 @@ fn the_liquid_distance_is_the_level_extended_as_in_the_twin() {
         let first = run.bits(&run.liquid.liquid_distance);
         run.put_level(&run.level.new_level, &values);
         run.record(&stage);
-        assert!(
-            first == run.bits(&run.liquid.liquid_distance),
-            "{}",
-            run.name
-        );
+        assert!(first == run.bits(&run.liquid.liquid_distance), "{}", run.name);
         let device = run.get(&run.liquid.liquid_distance);
         reference::extend_level(grid, cut, &mut level);
         let twin: Vec<f64> = level.iter().map(|phi| grid.dx * phi).collect();
         let bound = |cell: usize| {
-            let off = if run.in_body(cell) {
-                extended(0.0)
-            } else {
-                0.0
-            };
+            let off = if run.in_body(cell) { extended(0.0) } else { 0.0 };
             grid.dx * (off + 2.0 * 8.0 * EPS)
         };
         let whole = |cell: usize| !run.at_edge[cell] || !run.in_body(cell);
         run.compare("liquid distance", [&device, &twin], bound, whole);
         let padded = gpu.download(&run.liquid.liquid_distance).unwrap();
-        let [all, within] = [
-            padded.iter().filter(|&&phi| phi < 0.0).count(),
-            device.iter().filter(|&&phi| phi < 0.0).count(),
-        ];
+        let [all, within] =
+            [padded.iter().filter(|&&phi| phi < 0.0).count(), device.iter().filter(|&&phi| phi < 0.0).count()];
         assert_eq!(all, within, "{}: liquid in spare cells", run.name);
-        bodies += (0..level.len())
-            .filter(|&cell| run.in_body(cell) && level[cell] != 1.0)
-            .count();
+        bodies += (0..level.len()).filter(|&cell| run.in_body(cell) && level[cell] != 1.0).count();
         liquid += within;
     }
     assert!(bodies > 100 && liquid > 500, "{bodies} {liquid}");
@@ -438,13 +397,8 @@ fn ball_above_pool() -> Case {
     for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
         values.iter_mut().for_each(|value| *value = single(*value));
     }
-    let effects = Effects {
-        level: true,
-        maccormack: true,
-        volume_shift: true,
-        volume_control: false,
-        ..Effects::of(&scene)
-    };
+    let effects =
+        Effects { level: true, maccormack: true, volume_shift: true, volume_control: false, ..Effects::of(&scene) };
     let surface = |x: DVec3, above: f64| {
         let ball = x.distance(DVec3::new(8.1, 15.4, 11.2)) - 2.3;
         (x.y - 8.3).min(ball) - above
@@ -519,15 +473,8 @@ fn the_stages_of_the_shape_in_a_row_do_what_the_twins_do() {
     run.compare("all stages", [&device, &twin], bound, |_| true);
     // Every stage had something to do.
     let change = |a: &[f64], b: &[f64]| a.iter().zip(b).filter(|(a, b)| a != b).count();
-    let changes = [
-        change(&carried, &bounded),
-        change(&bounded, &redistanced),
-        change(&redistanced, &filtered),
-    ];
-    assert!(
-        changes[0] > 50 && changes[1] > 500 && changes[2] > 100,
-        "{changes:?}"
-    );
+    let changes = [change(&carried, &bounded), change(&bounded, &redistanced), change(&redistanced, &filtered)];
+    assert!(changes[0] > 50 && changes[1] > 500 && changes[2] > 100, "{changes:?}");
     // Worst cases add up; most cells are far better.
     let rough = (0..twin.len()).filter(|&cell| (device[cell] - twin[cell]).abs() > 1e-4 * grid.dx);
     assert!(rough.count() <= twin.len() / 1000);

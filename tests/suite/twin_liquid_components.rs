@@ -50,8 +50,7 @@ impl<'a> Run<'a> {
             case,
             volume_0,
             origins,
-            components: stages::liquid_components(gpu, &liquid, &level, ExchangeBuffers::default())
-                .unwrap(),
+            components: stages::liquid_components(gpu, &liquid, &level, ExchangeBuffers::default()).unwrap(),
             shift: stages::volume_shift(gpu, &liquid, &level).unwrap(),
             excess: stages::excess(gpu, &liquid, &level).unwrap(),
             settle: Dispatches::new("spray", [settle]),
@@ -66,8 +65,7 @@ impl<'a> Run<'a> {
         self.case.write(self.gpu, &self.liquid);
         self.write_step();
         self.level.write_components(self.gpu, &self.case.state);
-        self.solver
-            .write_active(self.gpu, &self.case.grid, &self.case.state);
+        self.solver.write_active(self.gpu, &self.case.grid, &self.case.state);
         let velocities = self.case.state.marker_velocity.iter();
         let markers: Vec<[f32; 4]> = velocities
             .zip(&self.case.state.spray)
@@ -86,10 +84,7 @@ impl<'a> Run<'a> {
     fn write_step(&self) {
         let renewed = self.renewed() / self.case.grid.cell_volume();
         self.level.write_step(self.gpu, [0; 2], 1.0, renewed);
-        let step = Step {
-            volume_0: self.volume_0 as f32,
-            ..self.case.step()
-        };
+        let step = Step { volume_0: self.volume_0 as f32, ..self.case.step() };
         self.gpu.upload(&self.liquid.step, &[step]);
     }
 
@@ -119,9 +114,7 @@ impl<'a> Run<'a> {
         let device = self.gpu.download(&self.level.component_origin).unwrap();
         let number = |label| match label {
             0 => 0,
-            _ => labels
-                .binary_search(&label)
-                .map_or(u32::MAX, |at| 1 + at as u32),
+            _ => labels.binary_search(&label).map_or(u32::MAX, |at| 1 + at as u32),
         };
         let padded = self.liquid.padded;
         padded.unpad(self.case.grid.cells, &device, number)
@@ -151,11 +144,7 @@ impl<'a> Run<'a> {
         bits.extend(gpu.download(&level.component_origin).unwrap());
         let sums = gpu.download(&level.component_sums).unwrap();
         bits.extend(sums.into_iter().flatten());
-        for field in [
-            &level.component_volume,
-            &level.excess,
-            &self.liquid.liquid_distance,
-        ] {
+        for field in [&level.component_volume, &level.excess, &self.liquid.liquid_distance] {
             let values = gpu.download(field).unwrap();
             bits.extend(values.into_iter().map(f32::to_bits));
         }
@@ -211,10 +200,7 @@ fn check_components(run: &Run, phi: &[f64], volume_0: &[f64], origins: &[u32]) -
     for &label in twin.label.iter().filter(|label| **label > 0) {
         volume_bound[label as usize - 1] += CELL;
     }
-    assert_close(
-        name,
-        (0..n).map(|k| (volumes[k], twin.volume[k] / one, volume_bound[k], [k, 0, 0])),
-    );
+    assert_close(name, (0..n).map(|k| (volumes[k], twin.volume[k] / one, volume_bound[k], [k, 0, 0])));
     // Shares of the old targets.
     let in_cell = |cell: usize| match twin.label[cell] {
         0 => 0.0,
@@ -259,11 +245,7 @@ fn check_components(run: &Run, phi: &[f64], volume_0: &[f64], origins: &[u32]) -
             let (target, share) = (targets[k] / one, shares[k] / one);
             let part = twin.volume[k] / one / whole;
             let part_bound = volume_bound[k] / whole + part * (whole_bound + SUM + 6.0 * EPS);
-            let bound = share_bound[k]
-                + SUM * share.abs()
-                + rest_bound * part
-                + rest * part_bound
-                + EPS * target.abs();
+            let bound = share_bound[k] + SUM * share.abs() + rest_bound * part + rest * part_bound + EPS * target.abs();
             (state.component_volume[k] / one, target, bound, [k, 1, 0])
         }),
     );
@@ -275,23 +257,15 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> usize {
     let (case, grid) = (run.case, &run.case.grid);
     let one = grid.cell_volume();
     let (volumes, enclosed) = run.volumes(&run.labels());
-    let components = Components {
-        label: twin.label.clone(),
-        volume: volumes.iter().map(|volume| volume * one).collect(),
-        enclosed,
-    };
+    let components =
+        Components { label: twin.label.clone(), volume: volumes.iter().map(|volume| volume * one).collect(), enclosed };
     let targets = run.state().component_volume;
     let open = reference::open_volumes(grid, &case.cut.solid_distance);
     let mut shifted = phi.to_vec();
     let times = [0.04_f32, case.dt as f32].map(f64::from);
     let shifts = reference::volume_shift(grid, &open, &components, &targets, times, &mut shifted);
     let mut area = vec![[0.0; 2]; targets.len()];
-    for (cell, &label) in twin
-        .label
-        .iter()
-        .enumerate()
-        .filter(|(_, label)| **label > 0)
-    {
+    for (cell, &label) in twin.label.iter().enumerate().filter(|(_, label)| **label > 0) {
         let near = (1.0 - (phi[cell] / grid.dx).abs()).clamp(0.0, 1.0);
         let [sum, off] = &mut area[label as usize - 1];
         *sum += open[cell] / one * near;
@@ -318,8 +292,7 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> usize {
                 label => {
                     // Two roundings of a shift, that of dx, one of the difference.
                     let shift = shifts[label as usize - 1].abs();
-                    grid.dx * (bounds[label as usize - 1] + 3.0 * EPS * shift)
-                        + EPS * (phi[cell].abs() + grid.dx)
+                    grid.dx * (bounds[label as usize - 1] + 3.0 * EPS * shift) + EPS * (phi[cell].abs() + grid.dx)
                 }
             };
             (after[cell], shifted[cell], off, grid.cell_at(cell))
@@ -331,10 +304,7 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> usize {
 /// Asserts e in liquid of `phi` (m); how many cells have one.
 fn check_excess(run: &Run, phi: &[f64], fraction: &[f64], twin: &Components) -> usize {
     let (case, grid) = (run.case, &run.case.grid);
-    let cells = LevelCells {
-        grid,
-        cut: &case.cut,
-    };
+    let cells = LevelCells { grid, cut: &case.cut };
     let level: Vec<f64> = phi.iter().map(|phi| phi / grid.dx).collect();
     let e = reference::excess(cells, twin, run.renewed(), fraction, &level);
     let device = run.gpu.download(&run.level.excess).unwrap();
@@ -346,10 +316,7 @@ fn check_excess(run: &Run, phi: &[f64], fraction: &[f64], twin: &Components) -> 
     let volume = n * (16.0 * EPS + 1.0 / (1 << 24) as f64);
     let part = volume * grid.cell_volume() / run.renewed();
     let bound = EPS * (2.0 * 23.0 / 0.05 + 8.0) + part;
-    assert_close(
-        case.name,
-        (0..grid.n_cells()).map(|cell| (device[cell], e[cell], bound, grid.cell_at(cell))),
-    );
+    assert_close(case.name, (0..grid.n_cells()).map(|cell| (device[cell], e[cell], bound, grid.cell_at(cell))));
     e.iter().filter(|e| **e != 0.0).count()
 }
 
@@ -361,10 +328,7 @@ fn write_occupancy(run: &Run, random: &mut Random) -> Vec<f64> {
         _ => reference::UNKNOWN,
     };
     let fractions: Vec<f64> = (0..grid.n_cells()).map(fraction).collect();
-    let device = run
-        .liquid
-        .padded
-        .pad(grid.cells, &fractions, |fraction| fraction as f32);
+    let device = run.liquid.padded.pad(grid.cells, &fractions, |fraction| fraction as f32);
     run.gpu.upload(&run.level.occupancy, &device);
     fractions
 }
@@ -390,9 +354,7 @@ fn all_cases() -> Vec<Case> {
             }
             let open = reference::open_volumes(&grid, &case.cut.solid_distance);
             let phi = case.state.liquid_distance.iter();
-            let level: Vec<f64> = phi
-                .map(|phi| phi / grid.dx + random.uniform(-0.5, 0.5))
-                .collect();
+            let level: Vec<f64> = phi.map(|phi| phi / grid.dx + random.uniform(-0.5, 0.5)).collect();
             let before = reference::liquid_components(&grid, &case.cut.open, &open, &level);
             let volume = |volume: &f64| {
                 let cells = volume / grid.cell_volume() * random.uniform(0.7, 1.4);
@@ -453,10 +415,7 @@ fn components_have_the_twins_labels_and_volumes() {
     }
     let counts = [most, moved, dense, enclosed, flown];
     let least = [20, 20, 100, 1, 20];
-    let enough = counts
-        .iter()
-        .zip(least)
-        .all(|(count, least)| *count >= least);
+    let enough = counts.iter().zip(least).all(|(count, least)| *count >= least);
     assert!(enough, "{counts:?}");
 }
 
@@ -491,10 +450,7 @@ impl Balls {
         let drop = DVec3::new(20.0 + 0.6 * ball, 20.0, 4.0);
         let x = x / self.grid.dx;
         let of = |centre: DVec3, radius: f64| x.distance(centre) - radius;
-        of(left, 4.3)
-            .min(of(right, 4.8))
-            .min(of(drop, 1.9))
-            .min(5.0)
+        of(left, 4.3).min(of(right, 4.8)).min(of(drop, 1.9)).min(5.0)
     }
 }
 
@@ -503,10 +459,7 @@ fn components_merge_and_split_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
     let mut case = level_cases().swap_remove(4);
     assert!(!case.effects.obstacles && !case.effects.open_sides);
-    let grid = Grid {
-        cells: [70, 26, 21],
-        dx: 0.0625,
-    };
+    let grid = Grid { cells: [70, 26, 21], dx: 0.0625 };
     case.grid = grid;
     case.cut = closed_cut(&grid);
     case.state = State::at_rest(&grid);
@@ -584,11 +537,7 @@ fn components_merge_and_split_as_in_the_twin() {
                 let mut known = origins.clone();
                 let far = (0..grid.n_cells()).filter(|&cell| !in_band(grid.cell_at(cell)));
                 far.for_each(|cell| known[cell] = 0);
-                let traced = Before {
-                    label: &before.component,
-                    velocity: &velocity,
-                    ballistic: Ballistic::NONE,
-                };
+                let traced = Before { label: &before.component, velocity: &velocity, ballistic: Ballistic::NONE };
                 let dt = case.dt;
                 let twin = reference::component_origins(&grid, traced, |cell| phi[cell] < 0.0, dt);
                 for (cell, origin) in twin.iter().enumerate().filter(|(_, origin)| **origin > 0) {
@@ -601,9 +550,7 @@ fn components_merge_and_split_as_in_the_twin() {
                 let labels = gpu.download(&run.level.component).unwrap();
                 let flags = gpu.download(&run.liquid.band_flags).unwrap();
                 let stale = labels.iter().enumerate();
-                outside += stale
-                    .filter(|&(cell, &label)| label > 0 && flags[cell / 4] == 0)
-                    .count();
+                outside += stale.filter(|&(cell, &label)| label > 0 && flags[cell / 4] == 0).count();
             } else {
                 run.record(&[&run.shift]);
             }
@@ -626,10 +573,7 @@ fn closed_cut(grid: &Grid) -> cutwater::geometry::CutCells {
         };
         (0..grid.n_faces(axis)).map(open).collect()
     });
-    cutwater::geometry::CutCells {
-        open,
-        solid_distance: vec![3.0 * grid.dx; grid.n_cells()],
-    }
+    cutwater::geometry::CutCells { open, solid_distance: vec![3.0 * grid.dx; grid.n_cells()] }
 }
 
 /// Liquid that fills a box has no surface to move and no excess.
@@ -648,10 +592,7 @@ fn a_full_box_stays() {
     let phi = run.distance();
     run.record(&[&run.origins, &run.components, &run.shift, &run.excess]);
     let (volumes, enclosed) = run.volumes(&run.labels());
-    assert_eq!(
-        (volumes, enclosed),
-        (vec![grid.n_cells() as f64], vec![true])
-    );
+    assert_eq!((volumes, enclosed), (vec![grid.n_cells() as f64], vec![true]));
     assert_eq!(phi, run.distance());
     let excess = gpu.download(&run.level.excess).unwrap();
     assert!(excess.iter().all(|&e| e == 0.0));
@@ -660,11 +601,7 @@ fn a_full_box_stays() {
 #[test]
 fn an_excess_is_a_source_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    let reals = if gpu.has_f64() {
-        &[Real::F32, Real::F64][..]
-    } else {
-        &[Real::F32]
-    };
+    let reals = if gpu.has_f64() { &[Real::F32, Real::F64][..] } else { &[Real::F32] };
     let mut sources = 0;
     for case in level_cases() {
         let (grid, mut random) = (&case.grid, Random(9));
@@ -681,10 +618,7 @@ fn an_excess_is_a_source_as_in_the_twin() {
             let device = liquid.padded.pad(grid.cells, &e, |e| e as f32);
             gpu.upload(&level.excess, &device);
             let run = |level| {
-                gpu.upload(
-                    &liquid.velocity_next,
-                    &liquid.pad_faces(&case.state.velocity),
-                );
+                gpu.upload(&liquid.velocity_next, &liquid.pad_faces(&case.state.velocity));
                 let mut recorder = Recorder::new(gpu);
                 stage(level).record(&mut recorder);
                 recorder.submit();
@@ -695,10 +629,7 @@ fn an_excess_is_a_source_as_in_the_twin() {
             let rhs = run(Some(&level));
             assert_eq!(rhs, run(Some(&level)), "{}: again", case.name);
             let volume = |value: &f64| value * grid.dx * grid.dx;
-            let mut twin = reference::RightHandSide {
-                values: without.iter().map(volume).collect(),
-                scale: 0.0,
-            };
+            let mut twin = reference::RightHandSide { values: without.iter().map(volume).collect(), scale: 0.0 };
             let cells = active.cells.stencil.active_cells().into_iter();
             sources += active.cells.stencil.active_cells().len();
             let times = [0.04_f32, case.dt as f32].map(f64::from);

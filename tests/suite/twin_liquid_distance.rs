@@ -34,10 +34,7 @@ impl Run<'_> {
     /// Starts again from the state.
     fn write(&self) {
         self.case.write(self.gpu, &self.buffers);
-        let step = Step {
-            volume_0: self.volume_0 as f32,
-            ..self.case.step()
-        };
+        let step = Step { volume_0: self.volume_0 as f32, ..self.case.step() };
         self.gpu.upload(&self.buffers.step, &[step]);
     }
 
@@ -104,11 +101,7 @@ fn check_volume(run: &Run, phi: &[f64]) {
     let open = reference::open_volumes(grid, &case.cut.solid_distance);
     let volume = reference::liquid_volume(grid, &open, phi);
     // dx is an f32 (cubed, and divided by twice); sums in f32 add about one rounding per level of the tree and share.
-    let deep = if run.buffers.partials.real == Real::F32 {
-        64.0
-    } else {
-        0.0
-    };
+    let deep = if run.buffers.partials.real == Real::F32 { 64.0 } else { 0.0 };
     let whole = grid.size().element_product();
     let bound = EPS * (6.0 + deep) * whole;
     let rate = reference::volume_rate(run.volume_0, volume, f64::from(0.04f32), case.dt);

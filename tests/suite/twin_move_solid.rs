@@ -37,14 +37,7 @@ fn twin(case: &SolidCase, nudge: DVec3) -> State {
     let dry = vec![false; u.len()];
     let falling = (GRAVITY.into(), case.dt);
     let ballistic = reference::ballistic_bodies(&solids, &case.grid, &[], &dry, falling, u, v);
-    reference::move_solid(
-        &solids,
-        &case.grid,
-        case.dt,
-        (GRAVITY.into(), &ballistic),
-        u,
-        v,
-    );
+    reference::move_solid(&solids, &case.grid, case.dt, (GRAVITY.into(), &ballistic), u, v);
     state
 }
 
@@ -65,17 +58,9 @@ fn turning(case: &SolidCase, noise: f64, seed: u64) -> Vec<[DVec3; 2]> {
     }
     let (mut u, mut v) = (case.displacement.clone(), velocity.clone());
     reference::turn_solids(&solids, case.dt, &mut u, &mut v);
-    let change = |after: &[[f64; 3]], before: &[[f64; 3]], node: usize| {
-        DVec3::from(after[node]) - DVec3::from(before[node])
-    };
-    (0..u.len())
-        .map(|node| {
-            [
-                change(&u, &case.displacement, node),
-                change(&v, &velocity, node),
-            ]
-        })
-        .collect()
+    let change =
+        |after: &[[f64; 3]], before: &[[f64; 3]], node: usize| DVec3::from(after[node]) - DVec3::from(before[node]);
+    (0..u.len()).map(|node| [change(&u, &case.displacement, node), change(&v, &velocity, node)]).collect()
 }
 
 /// How far, per node, m and m/s, a device whose numbers are rounded to `eps` may be from what turning adds: several times as far as inputs
@@ -127,21 +112,12 @@ fn nodes_move_and_stay_out_of_walls() {
                 let u = DVec3::from(case.displacement[node]);
                 let v = DVec3::from(case.velocity[node]);
                 let [found_u, twin_u] = [&state, &exact].map(|s| DVec3::from(s.displacement[node]));
-                let [found_v, twin_v] =
-                    [&state, &exact].map(|s| DVec3::from(s.node_velocity[node]));
+                let [found_v, twin_v] = [&state, &exact].map(|s| DVec3::from(s.node_velocity[node]));
                 let held = case.solids.prescribed[node];
                 for axis in (0..3).filter(|&axis| held[axis]) {
                     let off = (found_u[axis] - (u + case.dt * v)[axis]).abs();
-                    assert!(
-                        off <= step,
-                        "{}: prescribed node {node}, {off} m off",
-                        case.name
-                    );
-                    assert_eq!(
-                        found_v[axis], v[axis],
-                        "{}: prescribed node {node}",
-                        case.name
-                    );
+                    assert!(off <= step, "{}: prescribed node {node}, {off} m off", case.name);
+                    assert_eq!(found_v[axis], v[axis], "{}: prescribed node {node}", case.name);
                 }
                 let [turned_u, turned_v] = [u + turned[node][0], v + turned[node][1]];
                 let stops = |twin: &State| {
@@ -165,9 +141,7 @@ fn nodes_move_and_stay_out_of_walls() {
                     twins.any(|twin| near(twin, step, underflow))
                 };
                 let falls = |twin: &State| {
-                    (DVec3::from(twin.displacement[node]) - turned_u - case.dt * turned_v - fall)
-                        .abs()
-                        .max_element()
+                    (DVec3::from(twin.displacement[node]) - turned_u - case.dt * turned_v - fall).abs().max_element()
                         <= step
                 };
                 fell += usize::from(falls(&exact));
@@ -184,10 +158,7 @@ fn nodes_move_and_stay_out_of_walls() {
 }
 
 fn largest(vectors: &[[f64; 3]]) -> f64 {
-    vectors
-        .iter()
-        .flatten()
-        .fold(0.0, |largest, x| f64::max(largest, x.abs()))
+    vectors.iter().flatten().fold(0.0, |largest, x| f64::max(largest, x.abs()))
 }
 
 /// A thousand steps that f32 alone would not notice.
@@ -197,9 +168,7 @@ fn small_steps_add_up() {
     for real in SolidCase::reals(gpu) {
         let mut case = cases().swap_remove(2);
         case.displacement.fill([0.0625, -0.1, 0.3]);
-        case.displacement
-            .iter_mut()
-            .for_each(|u| *u = u.map(single));
+        case.displacement.iter_mut().for_each(|u| *u = u.map(single));
         case.dt = 1.0 / 128.0;
         // dt v is exact, and less than half of the last digit of the larger parts.
         let v = [2f64.powi(-24), 2f64.powi(-22), -3.0 * 2f64.powi(-22)];
@@ -211,15 +180,8 @@ fn small_steps_add_up() {
                 let expected = start[axis] + times as f64 * case.dt * v[axis];
                 // A rounding to 46 digits a step.
                 let bound = times as f64 * 2f64.powi(-46) * expected.abs();
-                assert!(
-                    (u[axis] - expected).abs() <= bound,
-                    "{real:?}: {} for {expected}",
-                    u[axis]
-                );
-                assert!(
-                    (expected - start[axis]).abs() > 100.0 * bound,
-                    "the test tests something"
-                );
+                assert!((u[axis] - expected).abs() <= bound, "{real:?}: {} for {expected}", u[axis]);
+                assert!((expected - start[axis]).abs() > 100.0 * bound, "the test tests something");
             }
         }
         assert_eq!(state.node_velocity, case.velocity);
@@ -258,26 +220,18 @@ fn what_turns_keeps_its_shape_and_its_momenta() {
             let strain = found.strain.to_cols_array().map(f64::abs);
             let strain = strain.into_iter().fold(0.0, f64::max);
             // Positions of about 1 m in elements of 0.05 m; along tangents it would be 0.055.
-            assert!(
-                strain <= 64.0 * eps(real) + 1e-12,
-                "{real:?}: strain {strain}"
-            );
+            assert!(strain <= 64.0 * eps(real) + 1e-12, "{real:?}: strain {strain}");
             turn = found.rotation;
         }
         let angle = (0.5 * (turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0)).acos();
         assert!((0.25..0.4).contains(&angle), "{real:?}: {angle} rad");
         let [to, p_after, l_after] = sums(&state);
         let scale = l.length().max(p.length());
-        for (what, after, before) in [
-            ("centroid", to, x + case.dt * p),
-            ("momentum", p_after, p),
-            ("angular momentum", l_after, l),
-        ] {
+        for (what, after, before) in
+            [("centroid", to, x + case.dt * p), ("momentum", p_after, p), ("angular momentum", l_after, l)]
+        {
             let off = (after - before).length();
-            assert!(
-                off <= 16.0 * eps(real) * scale,
-                "{real:?}: {what} off by {off} of {scale}"
-            );
+            assert!(off <= 16.0 * eps(real) * scale, "{real:?}: {what} off by {off} of {scale}");
         }
     }
 }

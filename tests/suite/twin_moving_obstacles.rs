@@ -37,13 +37,8 @@ fn fields_are_those_of_the_clipping() {
     for more in ["", BLOCK] {
         let scene = scene(more);
         let (grid, solids) = (scene.grid(), solids_of(&scene).unwrap());
-        let plan = LiquidPlan {
-            grid,
-            effects: Effects::of(&scene),
-            n_markers: 1,
-            cfl: scene.time.cfl,
-            real: Real::F32,
-        };
+        let plan =
+            LiquidPlan { grid, effects: Effects::of(&scene), n_markers: 1, cfl: scene.time.cfl, real: Real::F32 };
         let obstacles = obstacle_cut(&scene, &grid).unwrap();
         let clips: Vec<SolidClip> = [0.0, 0.13, 0.9, 0.02, 5.0]
             .map(|time| {
@@ -74,8 +69,7 @@ fn fields_are_those_of_the_clipping() {
             expected.write_cut_cells(gpu, clip.cut_cells());
             let open = [&buffers, &expected].map(|b| gpu.download(&b.open).unwrap());
             assert!(open[0] == open[1], "{what}: open fractions");
-            let distance =
-                [&buffers, &expected].map(|b| gpu.download(&b.obstacles.solid_distance).unwrap());
+            let distance = [&buffers, &expected].map(|b| gpu.download(&b.obstacles.solid_distance).unwrap());
             assert!(distance[0] == distance[1], "{what}: distances");
 
             let padded = grid.padded();
@@ -83,9 +77,7 @@ fn fields_are_those_of_the_clipping() {
             for &(cell, flux) in clip.obstacles().flux() {
                 taken[padded.index(grid.cell_at(cell))] = (flux / (grid.dx * grid.dx)) as f32;
             }
-            let flux = gpu
-                .download(buffers.obstacle_flux.as_ref().unwrap())
-                .unwrap();
+            let flux = gpu.download(buffers.obstacle_flux.as_ref().unwrap()).unwrap();
             assert!(flux == taken, "{what}: what obstacles take up");
             assert_eq!(taken.iter().any(|&flux| flux != 0.0), number < 4, "{what}");
 
@@ -101,18 +93,10 @@ fn fields_are_those_of_the_clipping() {
                 let before = (word & ((1 << lane) - 1)).count_ones();
                 let at = padded.quads + 3 * ((word >> 5) + before) as usize;
                 let found = [0, 1, 2].map(|axis| f32::from_bits(words[at + axis]));
-                assert_eq!(
-                    found,
-                    velocity.as_vec3().to_array(),
-                    "{what}, cell {}",
-                    place.cell()
-                );
+                assert_eq!(found, velocity.as_vec3().to_array(), "{what}, cell {}", place.cell());
                 beside += 1;
             }
-            assert!(
-                beside > 100,
-                "{what}: {beside} cells beside obstacles that move"
-            );
+            assert!(beside > 100, "{what}: {beside} cells beside obstacles that move");
         }
     }
 }
@@ -125,21 +109,9 @@ fn steps_are_those_of_the_twins() {
         let scene = scene(more);
         let comparison = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
         for row in &comparison.rows {
-            assert!(
-                !row.breached(),
-                "{name}: {} {}: {:?}",
-                row.stage,
-                row.quantity,
-                row.worst
-            );
+            assert!(!row.breached(), "{name}: {} {}: {:?}", row.stage, row.quantity, row.worst);
         }
-        assert!(
-            comparison
-                .rows
-                .iter()
-                .any(|row| row.stage == "clip" && row.count > 0),
-            "{name}"
-        );
+        assert!(comparison.rows.iter().any(|row| row.stage == "clip" && row.count > 0), "{name}");
     }
 }
 

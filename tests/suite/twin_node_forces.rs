@@ -34,12 +34,7 @@ fn free_nodes_fall_and_prescribed_ones_obey() {
                     let free = !solids.prescribed[node][axis];
                     let found = state.node_velocity[node][axis];
                     let bound = if free { bound } else { 0.0 };
-                    (
-                        found,
-                        twin[node][axis],
-                        bound,
-                        [node, axis, usize::from(free)],
-                    )
+                    (found, twin[node][axis], bound, [node, axis, usize::from(free)])
                 }),
             );
         }

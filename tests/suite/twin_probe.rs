@@ -16,10 +16,7 @@ fn probes(case: &Case, random: &mut Random) -> Vec<ProbeKind> {
         let [x, y, z] = [0, 1, 2].map(|a| single(size[a] * random.uniform(-0.1, 1.1)));
         DVec3::new(x, y, z)
     };
-    let fronts = (0..6).map(|side| ProbeKind::Front {
-        axis: side % 3,
-        lower: side >= 3,
-    });
+    let fronts = (0..6).map(|side| ProbeKind::Front { axis: side % 3, lower: side >= 3 });
     let mut probes: Vec<ProbeKind> = fronts.collect();
     for axis in 0..3 {
         for part in [0.0, 0.37, 1.0] {
@@ -37,10 +34,7 @@ fn probes(case: &Case, random: &mut Random) -> Vec<ProbeKind> {
     for _ in 0..30 {
         let foot = point();
         probes.push(ProbeKind::Velocity { point: point() });
-        let up = Up {
-            axis: probes.len() % 3,
-            falling: probes.len().is_multiple_of(2),
-        };
+        let up = Up { axis: probes.len() % 3, falling: probes.len().is_multiple_of(2) };
         probes.push(ProbeKind::Height { foot, up });
         probes.push(ProbeKind::Pressure { point: point() });
     }
@@ -54,16 +48,12 @@ fn probes_read_what_they_read_in_the_twin() {
     for mut case in cases() {
         let grid = case.grid;
         let (radius, markers) = (RADIUS * grid.dx, &case.state.markers);
-        case.state.liquid_distance = liquid_distance(&grid, &case.cut, markers, radius)
-            .into_iter()
-            .map(single)
-            .collect();
+        case.state.liquid_distance =
+            liquid_distance(&grid, &case.cut, markers, radius).into_iter().map(single).collect();
         let active = ActiveBuffers::new(&case, &case.state.liquid_distance);
         case.state.active = active.cells.stencil.active_mask();
         let mut random = Random(11);
-        let potential: Vec<f64> = (0..grid.n_cells())
-            .map(|_| single(random.uniform(-0.2, 0.2)))
-            .collect();
+        let potential: Vec<f64> = (0..grid.n_cells()).map(|_| single(random.uniform(-0.2, 0.2))).collect();
         let pascal = DENSITY * grid.dx / case.dt;
         case.state.pressure = (0..grid.n_cells())
             .map(|cell| f64::from(u8::from(case.state.active[cell])) * pascal * potential[cell])
@@ -71,9 +61,7 @@ fn probes_read_what_they_read_in_the_twin() {
         let probes = probes(&case, &mut random);
         let buffers = case.upload(gpu);
         let solver = active.solver(gpu, real);
-        solver
-            .potential
-            .upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
+        solver.potential.upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
         let stage = Probe::new(gpu, &buffers, &solver, &probes).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);

@@ -10,8 +10,7 @@ use cutwater::state::{SolveStatus, State};
 use crate::common::gpu;
 use crate::liquid_case::EPS;
 use crate::separation::{
-    DAM, GRAVITY, Solved, assert_complementary, ceiling, domain, filled, pulled_block, scene,
-    separation, speed,
+    DAM, GRAVITY, Solved, assert_complementary, ceiling, domain, filled, pulled_block, scene, separation, speed,
 };
 
 fn on_gpu(text: &str) -> Simulation {
@@ -73,30 +72,17 @@ fn a_sub_step_is_that_of_the_twin() {
             let twin = reference.step(reference.next_time_step()).unwrap();
             let twin = separation(&twin);
             let (ours, theirs) = (simulation.state().unwrap(), reference.state());
-            let largest = theirs
-                .pressure
-                .iter()
-                .fold(0.0, |max: f64, p| max.max(p.abs()));
+            let largest = theirs.pressure.iter().fold(0.0, |max: f64, p| max.max(p.abs()));
             // Velocities and distances have passed several stages in f32; theta is a quotient with a floor of 0.15.
             let bound = 1e3 * EPS / 0.15 * largest;
             for (cell, (p, twin)) in ours.pressure.iter().zip(&theirs.pressure).enumerate() {
-                assert!(
-                    (p - twin).abs() <= bound,
-                    "{kind}, cell {cell}: {p} Pa, twin {twin} Pa"
-                );
+                assert!((p - twin).abs() <= bound, "{kind}, cell {cell}: {p} Pa, twin {twin} Pa");
             }
             let pairs = ours.separated.iter().zip(&theirs.separated);
             let other = pairs.filter(|(ours, theirs)| ours != theirs).count();
-            assert!(
-                other * 20 <= twin.cells,
-                "{kind}: {other} of {} cells",
-                twin.cells
-            );
+            assert!(other * 20 <= twin.cells, "{kind}: {other} of {} cells", twin.cells);
             let opened = (report.opened - twin.opened).abs();
-            assert!(
-                opened <= 1e-2 * twin.opened,
-                "{kind}: {report:?}, twin {twin:?}"
-            );
+            assert!(opened <= 1e-2 * twin.opened, "{kind}: {report:?}, twin {twin:?}");
             assert!((report.least_pressure - twin.least_pressure).abs() <= bound);
             reference.reset(ours).unwrap();
         }
@@ -152,11 +138,7 @@ fn elastic_bodies() -> [(&'static str, String); 3] {
         let text = liquid + &filled([1.0, level]) + body;
         domain([20, 20, 5], 1.0 / 20.0, -GRAVITY, &text)
     };
-    [
-        ("block", pulled_block()),
-        ("plate", with(0.41, plate)),
-        ("ball", with(0.4, ball)),
-    ]
+    [("block", pulled_block()), ("plate", with(0.41, plate)), ("ball", with(0.4, ball))]
 }
 
 /// Both forms of the coupled solve, and the other schemes.
@@ -199,10 +181,7 @@ fn pressures_and_openings_beside_elastic_solids_are_complementary_on_the_device(
                     unit: EPS,
                 });
                 assert_eq!(cells, report.cells, "{name}, {solver}, step {step}");
-                assert!(
-                    together || step > 0,
-                    "{name}: liquid and solid touch at first"
-                );
+                assert!(together || step > 0, "{name}: liquid and solid touch at first");
                 separated += cells;
                 before = state;
             }
@@ -248,11 +227,7 @@ fn both_forms_separate_the_same_cells() {
 /// Compares every stage with its twin.
 fn assert_clean(scene: &Scene, frames: u64, case: &str) {
     let comparison = compare(scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
-    let breached: Vec<_> = comparison
-        .rows
-        .iter()
-        .filter(|row| row.breached())
-        .collect();
+    let breached: Vec<_> = comparison.rows.iter().filter(|row| row.breached()).collect();
     assert!(breached.is_empty(), "{case}: {breached:?}");
     assert!(comparison.verdict().is_ok(), "{case}");
 }

@@ -5,40 +5,23 @@ use cutwater::linalg::dot;
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::reference::base_block::DENSITY;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
-use cutwater::reference::{
-    self, CoupledSolution, CoupledSystem, SIGMA, SolidSolver as TwinSolver, solve_coupled,
-};
+use cutwater::reference::{self, CoupledSolution, CoupledSystem, SIGMA, SolidSolver as TwinSolver, solve_coupled};
 use cutwater::scene::{Formulation, Precision, Preconditioner, Solver};
 use cutwater::state::SolveStatus;
 use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu};
 
-fn holding<'a>(
-    gpu: &'a Gpu,
-    scene: &BaseScene,
-    system: &CoupledSystem,
-    solver: &Solver,
-) -> DeviceScene<'a> {
+fn holding<'a>(gpu: &'a Gpu, scene: &BaseScene, system: &CoupledSystem, solver: &Solver) -> DeviceScene<'a> {
     let device = DeviceScene::new(gpu, scene, system, solver).unwrap();
     device.reset();
     device
 }
 
 fn direct(scene: &BaseScene, system: &CoupledSystem) -> CoupledSolution {
-    let exact = Solver {
-        tolerance: 1e-12,
-        ..Solver::default()
-    };
+    let exact = Solver { tolerance: 1e-12, ..Solver::default() };
     let solver = TwinSolver::new(&scene.solids);
-    solve_coupled(
-        system,
-        reference::Formulation::Indefinite,
-        &solver,
-        &scene.solids,
-        &exact,
-    )
-    .unwrap()
+    solve_coupled(system, reference::Formulation::Indefinite, &solver, &scene.solids, &exact).unwrap()
 }
 
 /// A random vector of unknowns: quads, then nodes; 0 in what is none.
@@ -84,45 +67,31 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
         (1e9, Preconditioner::BlockJacobi),
     ];
     for (young, preconditioner) in kinds {
-        let beam = BaseBeam {
-            young,
-            ..BaseBeam::default()
-        };
+        let beam = BaseBeam { young, ..BaseBeam::default() };
         let scene = BaseScene::new(16, &beam).unwrap();
         let system = scene.coupled_system();
         let precisions = [Precision::F32, Precision::Mixed].into_iter();
         for precision in precisions.filter(|p| gpu.has_f64() || *p == Precision::F32) {
-            let solver = Solver {
-                precision,
-                formulation: Formulation::TwoField,
-                preconditioner,
-                ..Solver::default()
-            };
+            let solver = Solver { precision, formulation: Formulation::TwoField, preconditioner, ..Solver::default() };
             let device = holding(gpu, &scene, &system, &solver);
             device.record_systems().submit();
             let [x, y] = [1, 2].map(|seed| noise(&device, &system, seed));
             let apply = |x: &[f64]| device.solver.apply(gpu, device.fields(), x).unwrap();
             let precondition = |g: &[f64]| {
-                let z = device
-                    .solver
-                    .precondition(gpu, device.fields(), &device.polynomial, g);
+                let z = device.solver.precondition(gpu, device.fields(), &device.polynomial, g);
                 z.unwrap()
             };
             let inner = |a: &[f64], b: &[f64]| dot_active(&device, &system, a, b);
             let what = format!("E {young:e} {precision:?} {preconditioner:?}");
             let eps = f64::from(f32::EPSILON);
-            for (name, [ax, ay]) in [
-                ("operator", [apply(&x), apply(&y)]),
-                ("preconditioner", [precondition(&x), precondition(&y)]),
-            ] {
+            for (name, [ax, ay]) in
+                [("operator", [apply(&x), apply(&y)]), ("preconditioner", [precondition(&x), precondition(&y)])]
+            {
                 let [xax, yay] = [inner(&x, &ax), inner(&y, &ay)];
                 assert!(xax > 0.0 && yay > 0.0, "{what} {name}: {xax} and {yay}");
                 let off = (inner(&x, &ay) - inner(&y, &ax)).abs();
                 let bound = 256.0 * eps * (xax * yay).sqrt();
-                assert!(
-                    off <= bound,
-                    "{what} {name}: asymmetric by {off:e} of {bound:e}"
-                );
+                assert!(off <= bound, "{what} {name}: asymmetric by {off:e} of {bound:e}");
             }
         }
     }
@@ -133,11 +102,7 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
 fn diagonals_are_those_of_the_matrix() {
     let Some(gpu) = gpu() else { return };
     for (young, stiffness_damping) in [(1e4, 0.0), (1e6, 0.01), (1e9, 0.0)] {
-        let beam = BaseBeam {
-            young,
-            stiffness_damping,
-            ..BaseBeam::default()
-        };
+        let beam = BaseBeam { young, stiffness_damping, ..BaseBeam::default() };
         let scene = BaseScene::new(12, &beam).unwrap();
         let system = scene.coupled_system();
         let blocks = system.blocks();
@@ -156,10 +121,7 @@ fn diagonals_are_those_of_the_matrix() {
             let device = holding(gpu, &scene, &system, &solver);
             device.record_systems().submit();
             let g = noise(&device, &system, 5);
-            let z = device
-                .solver
-                .precondition(gpu, device.fields(), &device.polynomial, &g)
-                .unwrap();
+            let z = device.solver.precondition(gpu, device.fields(), &device.polynomial, &g).unwrap();
             let (grid, padded) = (&device.grid, device.grid.padded());
             let of_liquid = grid.dx * scene.dt / DENSITY;
             let of_solids = DENSITY * grid.dx.powi(3) / scene.dt;
@@ -169,18 +131,13 @@ fn diagonals_are_those_of_the_matrix() {
                 let at = padded.index(grid.cell_at(cell));
                 let twin = g[at] * of_liquid / matrix.get(row, row);
                 let off = (z[at] - twin).abs();
-                assert!(
-                    off <= 1e-5 * twin.abs(),
-                    "{what}, cell {cell}: {} and {twin}",
-                    z[at]
-                );
+                assert!(off <= 1e-5 * twin.abs(), "{what}, cell {cell}: {} and {twin}", z[at]);
             }
             let mut first = 0;
             while first < blocks.components.len() {
                 let node = blocks.components[first] / 3;
-                let rows: Vec<usize> = (first..blocks.components.len())
-                    .take_while(|&row| blocks.components[row] / 3 == node)
-                    .collect();
+                let rows: Vec<usize> =
+                    (first..blocks.components.len()).take_while(|&row| blocks.components[row] / 3 == node).collect();
                 let at = |row: usize| padded.len() + 4 * node + blocks.components[row] % 3;
                 let mut block = DMat3::IDENTITY;
                 let mut right = DVec3::ZERO;
@@ -196,10 +153,7 @@ fn diagonals_are_those_of_the_matrix() {
                 for (i, &row) in rows.iter().enumerate() {
                     let off = (z[at(row)] - twin[i]).abs();
                     let found = z[at(row)];
-                    assert!(
-                        off <= 1e-4 * twin.length(),
-                        "{what}, node {node}: {found} and {twin}"
-                    );
+                    assert!(off <= 1e-4 * twin.length(), "{what}, node {node}: {found} and {twin}");
                 }
                 first += rows.len();
             }
@@ -215,24 +169,13 @@ fn every_preconditioner_has_the_same_answer() {
         return;
     };
     // Soft: with diagonals, iterations grow with the square root of its stiffness.
-    let beam = BaseBeam {
-        young: 1e5,
-        ..BaseBeam::default()
-    };
+    let beam = BaseBeam { young: 1e5, ..BaseBeam::default() };
     let scene = BaseScene::new(12, &beam).unwrap();
     let system = scene.coupled_system();
     let exact = direct(&scene, &system);
-    for preconditioner in [
-        Preconditioner::Multigrid,
-        Preconditioner::BlockJacobi,
-        Preconditioner::Jacobi,
-    ] {
-        let solver = Solver {
-            formulation: Formulation::TwoField,
-            preconditioner,
-            max_iterations: 20_000,
-            ..Solver::default()
-        };
+    for preconditioner in [Preconditioner::Multigrid, Preconditioner::BlockJacobi, Preconditioner::Jacobi] {
+        let solver =
+            Solver { formulation: Formulation::TwoField, preconditioner, max_iterations: 20_000, ..Solver::default() };
         let device = holding(gpu, &scene, &system, &solver);
         let outcome = device.solve().unwrap();
         let (_, velocity) = device.answer().unwrap();
@@ -264,13 +207,8 @@ fn ways(gpu: &Gpu) -> Vec<Solver> {
         }
     }
     let ways = ways.into_iter();
-    ways.map(|(precision, tolerance, formulation)| Solver {
-        precision,
-        tolerance,
-        formulation,
-        ..Solver::default()
-    })
-    .collect()
+    ways.map(|(precision, tolerance, formulation)| Solver { precision, tolerance, formulation, ..Solver::default() })
+        .collect()
 }
 
 /// Solves on the device in all ways, to the answer of the direct solve; `most_in_f32`: residual over the tolerance.
@@ -289,19 +227,10 @@ fn agrees_with_the_direct_solve(gpu: &Gpu, scene: &BaseScene, most_in_f32: f64) 
         }
         let of_p = off(&pressure, &exact.pressure);
         let of_v = off(velocity.as_flattened(), exact.velocity.as_flattened());
-        let Solver {
-            precision,
-            tolerance,
-            formulation,
-            ..
-        } = solver;
+        let Solver { precision, tolerance, formulation, .. } = solver;
         let what = format!("{formulation:?} {precision:?}: {outcome:?}, p {of_p:e}, v {of_v:e}");
         assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
-        assert_eq!(
-            outcome.condensed,
-            formulation == Formulation::Condensed,
-            "{what}"
-        );
+        assert_eq!(outcome.condensed, formulation == Formulation::Condensed, "{what}");
         let found: u32 = outcome.unknowns.iter().sum();
         assert_eq!(found as usize, unknowns, "{what}");
         let [of_liquid, of_solid] = outcome.residuals;
@@ -359,17 +288,11 @@ fn iterations_stay_few() {
         for n in [16, 32] {
             let scene = BaseScene::new(n, &BaseBeam::default()).unwrap();
             let system = scene.coupled_system();
-            let solver = Solver {
-                formulation,
-                ..Solver::default()
-            };
+            let solver = Solver { formulation, ..Solver::default() };
             let device = holding(gpu, &scene, &system, &solver);
             let outcome = device.solve().unwrap();
             assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
-            assert!(
-                outcome.verified && outcome.iterations <= most,
-                "{outcome:?}"
-            );
+            assert!(outcome.verified && outcome.iterations <= most, "{outcome:?}");
             counts.push(f64::from(outcome.iterations));
         }
         assert!(counts[1] <= 1.25 * counts[0] + 1.0, "{counts:?}");
@@ -381,27 +304,14 @@ fn iterations_stay_few() {
 #[test]
 fn extreme_beams_converge() {
     let Some(gpu) = gpu() else { return };
-    for (young, density, most) in [
-        (1e4, 1100.0, 26),
-        (1e6, 20.0, 26),
-        (1e9, 1100.0, 26),
-        (1e7, 500.0, 26),
-        (1e4, 20.0, 50),
-        (1e9, 22_000.0, 50),
-    ] {
-        let beam = BaseBeam {
-            young,
-            density,
-            ..BaseBeam::default()
-        };
+    for (young, density, most) in
+        [(1e4, 1100.0, 26), (1e6, 20.0, 26), (1e9, 1100.0, 26), (1e7, 500.0, 26), (1e4, 20.0, 50), (1e9, 22_000.0, 50)]
+    {
+        let beam = BaseBeam { young, density, ..BaseBeam::default() };
         let scene = BaseScene::new(12, &beam).unwrap();
         let system = scene.coupled_system();
         for formulation in [Formulation::TwoField, Formulation::Condensed] {
-            let solver = Solver {
-                max_iterations: 400,
-                formulation,
-                ..Solver::default()
-            };
+            let solver = Solver { max_iterations: 400, formulation, ..Solver::default() };
             // A body that light is beyond the two-field form's polynomial, and one that stiff beyond vectors in f32.
             let narrow = !gpu.has_f64() && young > 1e7;
             if formulation == Formulation::TwoField && (density < 50.0 || narrow) {

@@ -9,16 +9,12 @@ use std::process::Command;
 use crate::common::gpu;
 
 /// Asks the layer for advice on what is merely not best.
-const ADVICE: &str =
-    "khronos_validation.enables = VK_VALIDATION_FEATURE_ENABLE_BEST_PRACTICES_EXT\n";
+const ADVICE: &str = "khronos_validation.enables = VK_VALIDATION_FEATURE_ENABLE_BEST_PRACTICES_EXT\n";
 
 /// What the layer says of a command of cutwater; wgpu always has it watch for races, too.
 fn said(arguments: &str, settings: &str) -> String {
     let folder = tempfile::tempdir().unwrap();
-    let (log, file) = (
-        folder.path().join("log.txt"),
-        folder.path().join("vk_layer_settings.txt"),
-    );
+    let (log, file) = (folder.path().join("log.txt"), folder.path().join("vk_layer_settings.txt"));
     let settings = format!(
         "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\n\
          khronos_validation.report_flags = error,warn,perf\n\
@@ -35,11 +31,7 @@ fn said(arguments: &str, settings: &str) -> String {
         .env("WGPU_VALIDATION", "1")
         .env("VK_LAYER_SETTINGS_PATH", &file);
     let output = command.output().unwrap();
-    assert!(
-        output.status.success(),
-        "{command:?}\n{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    assert!(output.status.success(), "{command:?}\n{}", String::from_utf8_lossy(&output.stderr));
     fs::read_to_string(log).unwrap_or_default()
 }
 
@@ -48,14 +40,9 @@ fn is_heard(scene: &str) -> bool {
     let advice = said(&format!("plan {scene}"), ADVICE);
     let heard = advice.contains("BestPractices");
     let required = std::env::var("REQUIRE_VALIDATION").is_ok_and(|value| value == "1");
-    assert!(
-        heard || !required,
-        "REQUIRE_VALIDATION=1 and no VK_LAYER_KHRONOS_validation: {advice:?}"
-    );
+    assert!(heard || !required, "REQUIRE_VALIDATION=1 and no VK_LAYER_KHRONOS_validation: {advice:?}");
     if !heard {
-        eprintln!(
-            "skipped for want of VK_LAYER_KHRONOS_validation (Debian: vulkan-validationlayers)"
-        );
+        eprintln!("skipped for want of VK_LAYER_KHRONOS_validation (Debian: vulkan-validationlayers)");
     }
     heard
 }

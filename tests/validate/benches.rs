@@ -39,8 +39,7 @@ fn limit(sheet: &mut Sheet) {
     let rows = rows.unwrap_or_else(|error| panic!("{error}"));
     for row in &rows {
         let [ratio, omega_dt, dt, expected, got, tolerance] =
-            ["ratio", "omega_dt", "dt", "expected", "got", "tolerance"]
-                .map(|name| row.number(name));
+            ["ratio", "omega_dt", "dt", "expected", "got", "tolerance"].map(|name| row.number(name));
         let what = format!(
             "weak coupling, m_a/m_s = {ratio:.3}, w dt = {omega_dt}, dt = {dt} s: growth of the velocity per sub-step"
         );
@@ -49,8 +48,7 @@ fn limit(sheet: &mut Sheet) {
     let free = |dt: f64| {
         let rows = rows.iter();
         let rows = rows.filter(move |row| row.number("omega_dt") == 0.0 && row.number("dt") == dt);
-        rows.map(|row| ["ratio", "got"].map(|name| row.number(name)))
-            .collect::<Vec<_>>()
+        rows.map(|row| ["ratio", "got"].map(|name| row.number(name))).collect::<Vec<_>>()
     };
     let [long, short] = [free(0.01), free(0.0025)];
     assert!(!long.is_empty() && long.len() == short.len(), "{rows:?}");
@@ -60,10 +58,7 @@ fn limit(sheet: &mut Sheet) {
     sheet.info(what, format!("{:.1e}", changes.fold(0.0, larger)));
     sheet.chart(
         "weak coupling of a piston without a spring and a column",
-        [
-            "mass of the column over that of the piston",
-            "growth per sub-step",
-        ],
+        ["mass of the column over that of the piston", "growth per sub-step"],
         vec![
             Line::new("theory", Mark::Theory, vec![[0.4, 0.4], [2.1, 2.1]]),
             Line::new("dt = 0.01 s", Mark::Points, long),
@@ -92,24 +87,14 @@ fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
         adapter: AdapterChoice::Best,
     };
     let folder = tempfile::tempdir().expect("a folder for the tables");
-    let settings = Settings {
-        out: folder.path().to_owned(),
-        repeats: 1,
-        seconds: 0.0,
-        resume: false,
-    };
+    let settings = Settings { out: folder.path().to_owned(), repeats: 1, seconds: 0.0, resume: false };
     let found = measure(&options, &settings, &mut |_| ());
     let found = found.unwrap_or_else(|error| panic!("{error}"));
     let errors = |row: &Row| ["error_p", "error_v", "error_u"].map(|name| row.number(name));
     let backend = lane.backend();
     let rows = found.rows("thesis").iter();
-    let rows: Vec<&Row> = rows
-        .filter(|row| row.text("backend") == backend.name())
-        .collect();
-    let unsolved: Vec<&&Row> = rows
-        .iter()
-        .filter(|row| row.text("status") != "converged")
-        .collect();
+    let rows: Vec<&Row> = rows.filter(|row| row.text("backend") == backend.name()).collect();
+    let unsolved: Vec<&&Row> = rows.iter().filter(|row| row.text("status") != "converged").collect();
     let got = unsolved.iter().map(|row| format!("{row:?}; ")).collect();
     sheet.holds("all solves", "converged", got, unsolved.is_empty());
     let printed = |grid: usize| {
@@ -127,12 +112,7 @@ fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
             sheet.at_most(&what_p, row.number("error_p") / p, 1.0);
             sheet.info(
                 &format!("{what}: errors of p (Pa), v, u (m/s)"),
-                format!(
-                    "{:.2e}, {:.2e}, {:.2e}",
-                    row.number("error_p"),
-                    row.number("error_v"),
-                    row.number("error_u")
-                ),
+                format!("{:.2e}, {:.2e}, {:.2e}", row.number("error_p"), row.number("error_v"), row.number("error_u")),
             );
             continue;
         }
@@ -146,41 +126,29 @@ fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
         }
         // On two cells across the block the errors from its sides are as large.
         if row.count("grid") > 5 {
-            let what =
-                format!("{what}: error of p over the weight of the liquid from face to centre");
+            let what = format!("{what}: error of p over the weight of the liquid from face to centre");
             sheet.at_most(&what, row.number("error_p_over_weight"), 1.0);
         }
     }
-    let mut orders = found.rows("thesis_orders").iter().filter(|order| {
-        order.text("backend") == backend.name() && order.text("patch_pressure") == "hydrostatic"
-    });
+    let mut orders = found
+        .rows("thesis_orders")
+        .iter()
+        .filter(|order| order.text("backend") == backend.name() && order.text("patch_pressure") == "hydrostatic");
     let order = orders.next().expect("solves converged on several grids");
     let finest = grids[grids.len() - 1];
-    assert_eq!(
-        ["coarsest", "finest"].map(|name| order.count(name)),
-        [10, finest],
-        "{order:?}"
-    );
+    assert_eq!(["coarsest", "finest"].map(|name| order.count(name)), [10, finest], "{order:?}");
     let what = "block at rest, \"hydrostatic\": order of the error of";
     let span = format!("dx = 0.1 to {}", 1.0 / finest as f64);
     let order = |name: &str| order.number(name);
     sheet.at_least(&format!("{what} p, {span}"), order("order_p"), 1.8);
-    sheet.at_least(
-        &format!("{what} p, least of a halving"),
-        order("least_p"),
-        1.0,
-    );
+    sheet.at_least(&format!("{what} p, least of a halving"), order("least_p"), 1.0);
     let what_v = format!("{what} v, {span}");
     if finest >= 80 {
         sheet.at_least(&what_v, order("order_v"), 1.5);
     } else {
         sheet.info(&what_v, format!("{:.2}", order("order_v")));
     }
-    sheet.at_least(
-        &format!("{what} v, least of a halving"),
-        order("least_v"),
-        1.0,
-    );
+    sheet.at_least(&format!("{what} v, least of a halving"), order("least_v"), 1.0);
     if lane != Lane::F64 {
         let pairs = found.rows("thesis").chunks_exact(2);
         let off = pairs.flat_map(|pair| {
@@ -192,9 +160,7 @@ fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
         sheet.at_most(what, off.fold(0.0, larger), 5e-3);
     }
     let line = |label: &str, mark: Mark, patches: &str, error: &str| {
-        let rows = rows
-            .iter()
-            .filter(|row| row.text("patch_pressure") == patches);
+        let rows = rows.iter().filter(|row| row.text("patch_pressure") == patches);
         let points = rows.filter(|row| row.has(error));
         let points = points.map(|row| [row.number("dx").log10(), row.number(error).log10()]);
         Line::new(label, mark, points.collect())

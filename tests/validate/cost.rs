@@ -89,17 +89,15 @@ const CLASSES: &[(Class, &str)] = &[
 fn matches(pattern: &str, id: &str) -> bool {
     let (patterns, segments) = (pattern.split('/'), id.split('/'));
     patterns.clone().count() == segments.clone().count()
-        && patterns.zip(segments).all(|(pattern, segment)| {
-            pattern == "*" || pattern.split('|').any(|name| name == segment)
-        })
+        && patterns
+            .zip(segments)
+            .all(|(pattern, segment)| pattern == "*" || pattern.split('|').any(|name| name == segment))
 }
 
 /// Index into [`CLASSES`].
 fn pattern_of(id: &str) -> usize {
     let found = CLASSES.iter().position(|(_, pattern)| matches(pattern, id));
-    found.unwrap_or_else(|| {
-        panic!("case {id} has no cost class: add a pattern to CLASSES in cost.rs")
-    })
+    found.unwrap_or_else(|| panic!("case {id} has no cost class: add a pattern to CLASSES in cost.rs"))
 }
 
 /// Cost class of a case.
@@ -111,20 +109,12 @@ pub(crate) fn class_of(id: &str) -> Class {
 pub(crate) fn check<'a>(ids: impl Iterator<Item = &'a str> + Clone) {
     let used: BTreeSet<usize> = ids.clone().map(pattern_of).collect();
     for (number, (_, pattern)) in CLASSES.iter().enumerate() {
-        assert!(
-            used.contains(&number),
-            "no case is left to {pattern} in CLASSES of cost.rs: remove it"
-        );
+        assert!(used.contains(&number), "no case is left to {pattern} in CLASSES of cost.rs: remove it");
     }
     for number in 1..=12 {
         let end = format!("/{number:02}/mixed");
-        let mut ids = ids
-            .clone()
-            .filter(|id| id.starts_with("scenes/") && id.ends_with(&end));
-        assert!(
-            ids.any(|id| class_of(id) <= Default),
-            "no default case ends with {end}"
-        );
+        let mut ids = ids.clone().filter(|id| id.starts_with("scenes/") && id.ends_with(&end));
+        assert!(ids.any(|id| class_of(id) <= Default), "no default case ends with {end}");
     }
 }
 
@@ -138,10 +128,7 @@ pub(crate) struct Sum {
 
 /// Sums per class, from the ids and seconds of cases.
 pub(crate) fn sums<'a>(cases: impl Iterator<Item = (&'a str, f64)>) -> [Sum; 3] {
-    let mut sums = [Sum {
-        cases: 0,
-        seconds: 0.0,
-    }; 3];
+    let mut sums = [Sum { cases: 0, seconds: 0.0 }; 3];
     for (id, seconds) in cases {
         let sum = &mut sums[class_of(id) as usize];
         sum.cases += 1;

@@ -8,8 +8,7 @@ use cutwater::linalg::SymbolicCholesky;
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
-    CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, larger,
-    solve_coupled,
+    CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, larger, solve_coupled,
 };
 use cutwater::scene::{Formulation as Form, Precision, Solver};
 use cutwater::sim::Simulation;
@@ -31,9 +30,7 @@ pub(crate) fn cases() -> Vec<Case> {
         Case::alone("C4", seconds_of_clip),
     ];
     for lane in Lane::PRECISE {
-        cases.push(Case::new(format!("C5/{}", lane.name()), move |sheet| {
-            neutral_block(lane, sheet)
-        }));
+        cases.push(Case::new(format!("C5/{}", lane.name()), move |sheet| neutral_block(lane, sheet)));
     }
     cases
 }
@@ -48,29 +45,16 @@ struct Base {
 impl Base {
     fn new(n: usize, beam: &BaseBeam) -> Base {
         let scene = BaseScene::new(n, beam).expect("the base scene has a beam");
-        Base {
-            system: scene.coupled_system(),
-            solver: SolidSolver::new(&scene.solids),
-            scene,
-        }
+        Base { system: scene.coupled_system(), solver: SolidSolver::new(&scene.solids), scene }
     }
 
     fn solve(&self, formulation: Formulation, tolerance: f64) -> CoupledSolution {
-        let settings = Solver {
-            tolerance,
-            max_iterations: 20_000,
-            ..Solver::default()
-        };
+        let settings = Solver { tolerance, max_iterations: 20_000, ..Solver::default() };
         let (system, solids) = (&self.system, &self.scene.solids);
         let solution = solve_coupled(system, formulation, &self.solver, solids, &settings);
         let solution = solution.unwrap_or_else(|error| panic!("{error}"));
         for report in solution.reports {
-            assert_eq!(
-                report.status,
-                SolveStatus::Converged,
-                "{}: {report:?}",
-                formulation.name()
-            );
+            assert_eq!(report.status, SolveStatus::Converged, "{}: {report:?}", formulation.name());
         }
         solution
     }
@@ -83,10 +67,7 @@ fn differences(a: &CoupledSolution, b: &CoupledSolution) -> [f64; 2] {
         let off = a.iter().zip(b).map(|(a, b)| (a - b).abs());
         off.fold(0.0, larger) / largest
     };
-    [
-        relative(&a.pressure, &b.pressure),
-        relative(a.velocity.as_flattened(), b.velocity.as_flattened()),
-    ]
+    [relative(&a.pressure, &b.pressure), relative(a.velocity.as_flattened(), b.velocity.as_flattened())]
 }
 
 /// All forms at 40^3 have the same answer. Direct solves with one correction: rounding, times condition numbers of at most 1e7 (two fields) and 1e5
@@ -95,9 +76,7 @@ fn formulations(sheet: &mut Sheet) {
     let base = Base::new(40, &BaseBeam::default());
     let exact = base.solve(Formulation::Indefinite, 1e-12);
     let deformations = base.scene.matrices().deformations;
-    let stress = StressVariables::new(&base.scene.solids, &deformations, |body| {
-        body.zeta_stiffness(base.scene.dt)
-    });
+    let stress = StressVariables::new(&base.scene.solids, &deformations, |body| body.zeta_stiffness(base.scene.dt));
     for (formulation, tolerance, bound) in [
         (Formulation::TwoField(SIGMA), 1e-2, 1e-9),
         (Formulation::TwoField(0.9), 1e-2, 1e-9),
@@ -117,23 +96,12 @@ fn formulations(sheet: &mut Sheet) {
         if let Formulation::TwoField(sigma) = formulation {
             name += &format!(", {sigma} of the mass in Z1");
         }
-        sheet.at_most(
-            &format!("{name}: p against the indefinite system"),
-            p,
-            bound,
-        );
+        sheet.at_most(&format!("{name}: p against the indefinite system"), p, bound);
         sheet.at_most(&format!("{name}: v"), v, bound);
         let iterations = solution.reports[0].iterations;
-        sheet.info(
-            &format!("{name}: iterations"),
-            format!("{iterations} in {seconds:.2} s"),
-        );
+        sheet.info(&format!("{name}: iterations"), format!("{iterations} in {seconds:.2} s"));
     }
-    let matrix = base
-        .system
-        .blocks()
-        .two_field(0.9)
-        .expect("it fits into memory");
+    let matrix = base.system.blocks().two_field(0.9).expect("it fits into memory");
     let symbolic = SymbolicCholesky::new(&matrix).expect("it fits into memory");
     let definite = symbolic.factorise(&matrix).is_ok();
     sheet.holds(
@@ -147,26 +115,11 @@ fn formulations(sheet: &mut Sheet) {
 /// Conjugate gradients to 1e-8 of both residuals, from 20^3 to 100^3. Iterations grow more slowly than the square root of the cells along an edge, with
 /// which those of modified incomplete Cholesky grow (Gustafsson 1978).
 fn iterations(sheet: &mut Sheet) {
-    let beams = [
-        (20, [2, 2, 14]),
-        (40, [2, 2, 14]),
-        (60, [3, 3, 21]),
-        (80, [4, 4, 28]),
-        (100, [4, 4, 28]),
-    ];
+    let beams = [(20, [2, 2, 14]), (40, [2, 2, 14]), (60, [3, 3, 21]), (80, [4, 4, 28]), (100, [4, 4, 28])];
     let mut found = [Vec::new(), Vec::new()];
-    let forms = [
-        Formulation::Condensed,
-        Formulation::TwoFieldIterative(SIGMA),
-    ];
+    let forms = [Formulation::Condensed, Formulation::TwoFieldIterative(SIGMA)];
     for (n, bricks) in beams {
-        let base = Base::new(
-            n,
-            &BaseBeam {
-                bricks,
-                ..BaseBeam::default()
-            },
-        );
+        let base = Base::new(n, &BaseBeam { bricks, ..BaseBeam::default() });
         for (formulation, found) in forms.into_iter().zip(&mut found) {
             let start = Instant::now();
             let iterations = base.solve(formulation, 1e-8).reports[0].iterations;
@@ -175,19 +128,12 @@ fn iterations(sheet: &mut Sheet) {
     }
     for (formulation, found) in forms.into_iter().zip(found) {
         let name = formulation.name();
-        let [(first, few, _), .., (last, many, _)] = found[..] else {
-            panic!("{found:?}")
-        };
+        let [(first, few, _), .., (last, many, _)] = found[..] else { panic!("{found:?}") };
         let order = (f64::from(many) / f64::from(few)).ln() / (last as f64 / first as f64).ln();
         let what = format!("{name}: order in 1/dx of the iterations, {first}³ to {last}³");
         sheet.at_most(&what, order, 0.5);
-        let each = found
-            .iter()
-            .map(|(n, iterations, seconds)| format!("{n}³ {iterations} in {seconds:.2} s"));
-        sheet.info(
-            &format!("{name}: iterations and seconds"),
-            each.collect::<Vec<_>>().join(", "),
-        );
+        let each = found.iter().map(|(n, iterations, seconds)| format!("{n}³ {iterations} in {seconds:.2} s"));
+        sheet.info(&format!("{name}: iterations and seconds"), each.collect::<Vec<_>>().join(", "));
     }
 }
 
@@ -204,18 +150,10 @@ fn parameters(sheet: &mut Sheet) {
         beams.push((format!("E = {young:e} Pa"), 2.0, BaseBeam { young, ..base }));
     }
     for density in [20.0, 100.0, 500.0, 5000.0, 20_000.0] {
-        beams.push((
-            format!("density {density}"),
-            2.0,
-            BaseBeam { density, ..base },
-        ));
+        beams.push((format!("density {density}"), 2.0, BaseBeam { density, ..base }));
     }
     let (young, density) = (1e4, 20.0);
-    let both = BaseBeam {
-        young,
-        density,
-        ..base
-    };
+    let both = BaseBeam { young, density, ..base };
     beams.push(("E = 1e4 Pa, density 20".into(), 4.0, both));
     sheet.info("condensed, base scene: iterations", of_base.to_string());
     for (name, bound, beam) in beams {
@@ -247,11 +185,7 @@ fn stored(sheet: &mut Sheet) {
         beams.push((format!("nu = {poisson}"), BaseBeam { poisson, ..base }));
     }
     let (young, density) = (1e7, 500.0);
-    let both = BaseBeam {
-        young,
-        density,
-        ..base
-    };
+    let both = BaseBeam { young, density, ..base };
     beams.push(("E = 1e7 Pa, density 500".to_owned(), both));
     for (name, beam) in beams {
         let assembled = Base::new(20, &beam);
@@ -265,13 +199,7 @@ fn stored(sheet: &mut Sheet) {
                 if precision == Precision::F32 && formulation == Form::Condensed {
                     continue;
                 }
-                let settings = Solver {
-                    precision,
-                    tolerance,
-                    formulation,
-                    max_iterations: 1000,
-                    ..Solver::default()
-                };
+                let settings = Solver { precision, tolerance, formulation, max_iterations: 1000, ..Solver::default() };
                 let device = DeviceScene::new(&gpu, &assembled.scene, &assembled.system, &settings);
                 let device = device.expect("the adapter is large enough");
                 device.reset();
@@ -359,12 +287,7 @@ poisson = 0.3
         sheet.at_most(&what, seconds[5], 0.3);
         sheet.info(
             "patches; least and most seconds",
-            format!(
-                "{}; {:.3}, {:.3}",
-                clip.patches().len(),
-                seconds[0],
-                seconds[10]
-            ),
+            format!("{}; {:.3}, {:.3}", clip.patches().len(), seconds[0], seconds[10]),
         );
     }
 }
@@ -375,13 +298,7 @@ fn neutral_block(lane: Lane, sheet: &mut Sheet) {
     const DT: f64 = 1.0 / 120.0;
     let diagonal = DVec3::new(0.3, 0.24, 0.2).length();
     let compression = 1000.0 * 0.81 * (1.0 - 2.0 * 0.3) / 1e10 * diagonal / (DT * DT);
-    for (n, pressure) in [
-        (20, "hydrostatic"),
-        (30, "hydrostatic"),
-        (40, "hydrostatic"),
-        (20, "cell"),
-        (40, "cell"),
-    ] {
+    for (n, pressure) in [(20, "hydrostatic"), (30, "hydrostatic"), (40, "hydrostatic"), (20, "cell"), (40, "cell")] {
         let scene = written(&format!(
             "[domain]
 size = [1, 1, 1]
@@ -422,16 +339,9 @@ pressure_on_patches = \"{pressure}\"
         let what = format!("{n}³, \"{pressure}\": acceleration of the block");
         if pressure == "hydrostatic" {
             sheet.at_most(&format!("{what}, mean, g"), mean, 0.5 * compression);
-            sheet.at_most(
-                &format!("{what}, largest of a node, g"),
-                largest,
-                compression,
-            );
+            sheet.at_most(&format!("{what}, largest of a node, g"), largest, compression);
         } else {
-            sheet.info(
-                &what,
-                format!("mean {mean:.1e} g, largest of a node {largest:.1e} g"),
-            );
+            sheet.info(&what, format!("mean {mean:.1e} g, largest of a node {largest:.1e} g"));
         }
     }
 }

@@ -64,9 +64,7 @@ pub(crate) fn cases() -> Vec<Case> {
         Case::new("T/uneven_sphere", uneven_sphere),
         Case::new("T/light_dino", light_dino),
         Case::new("T/stability/strong", |sheet| stable(&[], sheet)),
-        Case::new("T/stability/undamped", |sheet| {
-            stable(&["solid[0].damping.stiffness=0"], sheet)
-        }),
+        Case::new("T/stability/undamped", |sheet| stable(&["solid[0].damping.stiffness=0"], sheet)),
         Case::new("T/stability/damping_only", damping_only),
         Case::new("T/stability/weak", weak),
     ]
@@ -129,15 +127,10 @@ impl Film {
     ) -> Film {
         let scene = shipped(name, overrides, scale);
         let frames = frames.unwrap_or(scene.n_frames());
-        let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best))
-            .unwrap_or_else(|error| panic!("{error}"));
+        let mut simulation =
+            Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best)).unwrap_or_else(|error| panic!("{error}"));
         let markers = simulation.state().expect("a state").markers.len();
-        let mut film = Film {
-            scene,
-            moments: Vec::new(),
-            markers,
-            failure: None,
-        };
+        let mut film = Film { scene, moments: Vec::new(), markers, failure: None };
         let mut frame = 0;
         while frame < frames {
             let report = match simulation.step() {
@@ -171,11 +164,7 @@ impl Film {
             time: state.time,
             probes: simulation.probes().expect("numbers"),
             volume,
-            energy: potential
-                + kinetic
-                + solid.kinetic_energy
-                + solid.elastic_energy
-                + solid.potential_energy,
+            energy: potential + kinetic + solid.kinetic_energy + solid.elastic_energy + solid.potential_energy,
             report,
         }
     }
@@ -197,10 +186,7 @@ impl Film {
         sheet.holds(
             "runs to its end; every solve converges, every contact is settled",
             "all sub-steps",
-            format!(
-                "{n} of {} converged, {unsettled} not settled; {end}",
-                moments.len()
-            ),
+            format!("{n} of {} converged, {unsettled} not settled; {end}", moments.len()),
             n == moments.len() && unsettled == 0 && self.failure.is_none(),
         );
         let last = moments.last().expect("a sub-step");
@@ -299,9 +285,7 @@ fn dam_break(sheet: &mut Sheet) {
     film.sound(sheet);
     film.keeps_volume(sheet);
     let (tip, front) = (0, 3);
-    let arrival = film.first("the front reaches the beam", |moment| {
-        moment.probes[front] > FACE
-    });
+    let arrival = film.first("the front reaches the beam", |moment| moment.probes[front] > FACE);
     let before = film.column(tip).take(arrival);
     let what = "motion of the beam's end before the front is there, m";
     sheet.at_most(what, largest(before.map(f64::abs)), 0.01);
@@ -336,11 +320,7 @@ fn dam_break(sheet: &mut Sheet) {
     );
     let sway = film.last(1.0, tip).collect::<Vec<_>>();
     let sway = spread(sway.into_iter());
-    sheet.at_most(
-        "sway of the last second over the first swing",
-        sway / bent,
-        1.0,
-    );
+    sheet.at_most("sway of the last second over the first swing", sway / bent, 1.0);
     sheet.at_least("it still sways, m", sway, 0.001);
 }
 
@@ -356,11 +336,7 @@ fn floating_ball(density: f64) -> f64 {
     for _ in 0..60 {
         let draught = 0.5 * (low + high);
         let cap = std::f64::consts::PI * draught * draught * (3.0 * RADIUS - draught) / 3.0;
-        *(if cap < density * volume {
-            &mut low
-        } else {
-            &mut high
-        }) = draught;
+        *(if cap < density * volume { &mut low } else { &mut high }) = draught;
     }
     LEVEL + density * volume + RADIUS - low
 }
@@ -373,11 +349,7 @@ fn light_ball(sheet: &mut Sheet) {
     let floats = floating_ball(0.2);
     let deepest = least(film.column(1));
     let bottom = film.first("it is deepest", |moment| moment.probes[1] == deepest);
-    sheet.at_least(
-        "it dives below where it floats, m",
-        floats - deepest,
-        0.5 * film.dx(),
-    );
+    sheet.at_least("it dives below where it floats, m", floats - deepest, 0.5 * film.dx());
     sheet.at_least(
         "it is pushed out above where it floats, m",
         largest(film.column(1).skip(bottom)) - floats,
@@ -460,11 +432,7 @@ fn compressibility(sheet: &mut Sheet) {
     sheet.at_most("slightly, m", sunk, 0.5 * SIDE);
     // 0.4 of it under water, which stands so much higher.
     let floats = 0.6 + 0.4 * SIDE.powi(3) + (0.5 - 0.4) * SIDE;
-    sheet.at_least(
-        "then it comes up, above where it floats, m",
-        largest(film.column(1)) - floats,
-        0.0,
-    );
+    sheet.at_least("then it comes up, above where it floats, m", largest(film.column(1)) - floats, 0.0);
     sheet.at_most(
         "it floats: mean of the last half second, off Archimedes by, m",
         (mean(film.last(0.5, 1)) - floats).abs(),
@@ -473,12 +441,7 @@ fn compressibility(sheet: &mut Sheet) {
 }
 
 /// Which side of a sheet a marker is on: below or above the node of its underside that is next to it in plan; nothing where none is near.
-fn is_below(
-    film_scene: &Scene,
-    solids: &Solids,
-    state: &State,
-    brick: f64,
-) -> impl Fn(DVec3) -> Option<bool> {
+fn is_below(film_scene: &Scene, solids: &Solids, state: &State, brick: f64) -> impl Fn(DVec3) -> Option<bool> {
     let placement = &film_scene.solids[0].placement;
     let normal = placement.rotate * DVec3::Y;
     let nodes = solids.rest.iter().zip(&state.displacement);
@@ -486,10 +449,7 @@ fn is_below(
     let underside: Vec<DVec3> = underside.map(|(rest, &u)| *rest + DVec3::from(u)).collect();
     move |x: DVec3| {
         let apart = |node: &DVec3| (*node - x).with_y(0.0).length_squared();
-        let nearest = underside
-            .iter()
-            .min_by(|a, b| apart(a).total_cmp(&apart(b)))
-            .expect("a sheet has nodes");
+        let nearest = underside.iter().min_by(|a, b| apart(a).total_cmp(&apart(b))).expect("a sheet has nodes");
         (apart(nearest) <= (0.75 * brick).powi(2)).then_some(x.y < nearest.y)
     }
 }
@@ -522,11 +482,7 @@ fn sloped_panel(sheet: &mut Sheet) {
     let rebound = largest(film.column(1).skip(deepest)) + rest;
     sheet.at_least("it rebounds past its rest, m", rebound, 0.0);
     let late = spread(film.last(0.25, 1).collect::<Vec<_>>().into_iter());
-    sheet.at_most(
-        "it returns to rest: swing of the last quarter of a second over its sag",
-        late / most,
-        0.2,
-    );
+    sheet.at_most("it returns to rest: swing of the last quarter of a second over its sag", late / most, 0.2);
 }
 
 /// "Fluid flow stretches and distorts the platform"; "the liquid collects into a pool at the center of its deformable enclosure".
@@ -543,11 +499,7 @@ fn platform(sheet: &mut Sheet) {
         let n = state.markers.len() as f64;
         let middle = places().sum::<DVec3>() / n;
         let square = places().map(|x| (x - 0.5).with_y(0.0).length_squared());
-        last = (
-            share(state, |x| side(x) == Some(true)),
-            middle,
-            square.sum::<f64>() / n,
-        );
+        last = (share(state, |x| side(x) == Some(true)), middle, square.sum::<f64>() / n);
     });
     film.sound(sheet);
     film.keeps_volume(sheet);
@@ -555,11 +507,7 @@ fn platform(sheet: &mut Sheet) {
     let what = "the liquid distorts it: deepest sag of its middle, m";
     sheet.at_least(what, -least(film.column(1)), 0.1);
     sheet.at_most("share of the liquid that came through", below, MOST_LEAKED);
-    sheet.at_most(
-        "the pool's middle from the platform's, m",
-        (middle - 0.5).with_y(0.0).length(),
-        film.dx(),
-    );
+    sheet.at_most("the pool's middle from the platform's, m", (middle - 0.5).with_y(0.0).length(), film.dx());
     // Spread evenly it would be 1/6 m^2.
     let what = "mean square of the distance from the middle over that of an even film";
     sheet.at_most(what, 6.0 * square, 0.5);
@@ -590,11 +538,7 @@ fn fluid_in_sphere(sheet: &mut Sheet) {
     film.sound(sheet);
     film.keeps_volume(sheet);
     sheet.at_most("share of the liquid that gets out", out, 0.0);
-    sheet.at_least(
-        "it touches the right wall: its rightmost node, m",
-        reach,
-        0.999,
-    );
+    sheet.at_least("it touches the right wall: its rightmost node, m", reach, 0.999);
     let rightmost = largest(film.column(0));
     let bounce = film.first("it is rightmost", |moment| moment.probes[0] == rightmost);
     let back = film.column(0).skip(bounce);
@@ -617,9 +561,7 @@ fn uneven_sphere(sheet: &mut Sheet) {
     sheet.at_most("it strikes the floor: its lowest node, m", lowest, 0.001);
     let deepest = least(film.column(1));
     let impact = film.first("it is lowest", |moment| moment.probes[1] == deepest);
-    let falls = film.first("it comes near the floor", |moment| {
-        moment.probes[1] < SHELL + 0.5 * film.dx()
-    });
+    let falls = film.first("it comes near the floor", |moment| moment.probes[1] < SHELL + 0.5 * film.dx());
     let before = film.column(0).take(falls).map(|x| (x - 0.5).abs());
     sheet.at_most("it falls straight, m", largest(before), 0.1 * film.dx());
     let highest = largest(film.column(1).skip(impact));
@@ -636,12 +578,8 @@ fn light_dino(sheet: &mut Sheet) {
     film.sound(sheet);
     film.keeps_volume(sheet);
     let start = film.moments[0].probes[0];
-    let touched = film.first("the water reaches it", |moment| {
-        moment
-            .report
-            .coupling
-            .is_some_and(|coupling| coupling.touching)
-    });
+    let touched =
+        film.first("the water reaches it", |moment| moment.report.coupling.is_some_and(|coupling| coupling.touching));
     let before = film.column(0).take(touched).map(|x| (x - start).abs());
     let what = "it falls straight until the water is there, m";
     sheet.at_most(what, largest(before), 0.1 * film.dx());
@@ -682,12 +620,7 @@ fn damping_only(sheet: &mut Sheet) {
     let overrides = ["solver.coupling=\"damping_only\""];
     let film = Film::shoot("stability", &overrides, 1.0, None, |_, _| {});
     let end = film.failure.as_deref().unwrap_or("the end");
-    sheet.holds(
-        "it completes",
-        "the end",
-        end.into(),
-        film.failure.is_none(),
-    );
+    sheet.holds("it completes", "the end", end.into(), film.failure.is_none());
     let what = "the stiff beam is pushed away: largest way of its end over its length";
     sheet.info(what, format!("{:.3}", deflection(&film) / LENGTH));
 }
@@ -702,31 +635,17 @@ fn weak(sheet: &mut Sheet) {
         backend: Backend::Gpu(AdapterChoice::Best),
     };
     let folder = tempfile::tempdir().expect("a folder for the tables");
-    let settings = Settings {
-        out: folder.path().to_owned(),
-        repeats: 1,
-        seconds: 0.0,
-        resume: false,
-    };
+    let settings = Settings { out: folder.path().to_owned(), repeats: 1, seconds: 0.0, resume: false };
     let results = measure(&options, &settings, &mut |_| ());
     let results = results.unwrap_or_else(|error| panic!("{error}"));
-    let [row] = results.rows("stability") else {
-        panic!("{results:?}")
-    };
+    let [row] = results.rows("stability") else { panic!("{results:?}") };
     sheet.info("how it ends", row.text("status").to_owned());
     let what = "extreme distortion: largest elastic energy over all energy of the start";
     sheet.info(what, format!("{:.1}", row.number("elastic_ratio")));
     let what = "the stiff beam is bent: largest way of its end over its length";
-    sheet.info(
-        what,
-        format!("{:.3}", f64::max(0.0, row.number("deflection"))),
-    );
+    sheet.info(what, format!("{:.3}", f64::max(0.0, row.number("deflection"))));
     sheet.info(
         "largest energy over that of the start; least det F",
-        format!(
-            "{:.1}; {:.2}",
-            row.number("energy_ratio"),
-            row.number("min_det")
-        ),
+        format!("{:.1}; {:.2}", row.number("energy_ratio"), row.number("min_det")),
     );
 }

@@ -37,9 +37,7 @@ pub(crate) fn cases() -> Vec<Case> {
     ];
     for (id, run) in all {
         for lane in Lane::PRECISE {
-            cases.push(Case::new(format!("{id}/{}", lane.name()), move |sheet| {
-                run(lane, sheet)
-            }));
+            cases.push(Case::new(format!("{id}/{}", lane.name()), move |sheet| run(lane, sheet)));
         }
     }
     cases
@@ -62,10 +60,7 @@ fn ball_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
     let exact = |ratio: f64| (ratio.powi(3) + 2.0) / (2.0 * (ratio.powi(3) - 1.0));
     chart_of_added_mass(lane, "ball in a spherical vessel", own, exact, sheet);
     if lane == Lane::Mixed {
-        let vessel = Vessel {
-            formulation: "two_field",
-            ..Vessel::full(2.0, 10.0)
-        };
+        let vessel = Vessel { formulation: "two_field", ..Vessel::full(2.0, 10.0) };
         let c = vessel.added_mass(lane, 2.0, STIFF);
         let what = "ball in a vessel, b/a = 2, s = 2, in the two-field form: C";
         sheet.relative(what, added_mass(true, 2.0), c, OF_ADDED_MASS);
@@ -76,20 +71,11 @@ fn ball_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
     });
     let order = (errors[0] / errors[2]).ln() / 2.0_f64.ln();
     sheet.at_least("order of the error of C from a/dx = 7 to 14", order, 1.0);
-    sheet.info(
-        "error of C with a/dx = 7, 10, 14",
-        format!("{:.4}, {:.4}, {:.4}", errors[0], errors[1], errors[2]),
-    );
+    sheet.info("error of C with a/dx = 7, 10, 14", format!("{:.4}, {:.4}, {:.4}", errors[0], errors[1], errors[2]));
 }
 
 /// Of a tenth of the liquid's density and of twice that, over the exact one.
-fn chart_of_added_mass(
-    lane: Lane,
-    body: &str,
-    own: [Vec<[f64; 2]>; 2],
-    exact: impl Fn(f64) -> f64,
-    sheet: &mut Sheet,
-) {
+fn chart_of_added_mass(lane: Lane, body: &str, own: [Vec<[f64; 2]>; 2], exact: impl Fn(f64) -> f64, sheet: &mut Sheet) {
     let [light, heavy] = own;
     let ratios = (0..=100).map(|n| 1.6 + 0.02 * f64::from(n));
     let title = format!("added mass of a {body}, {}", lane.name());
@@ -97,11 +83,7 @@ fn chart_of_added_mass(
         &title,
         ["radius of the vessel over that of the body", "C"],
         vec![
-            Line::new(
-                "exact",
-                Mark::Theory,
-                ratios.map(|ratio| [ratio, exact(ratio)]).collect(),
-            ),
+            Line::new("exact", Mark::Theory, ratios.map(|ratio| [ratio, exact(ratio)]).collect()),
             Line::new("density 0.1", Mark::Points, light),
             Line::new("density 2", Mark::Points, heavy),
         ],
@@ -111,13 +93,8 @@ fn chart_of_added_mass(
 /// A2.
 fn cylinder_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
     let mut own = [Vec::new(), Vec::new()];
-    for (ratio, across, s) in [
-        (2.0, 10.0, 0.1),
-        (2.0, 10.0, 2.0),
-        (2.0, 20.0, 2.0),
-        (3.0, 10.0, 0.1),
-        (3.0, 10.0, 2.0),
-    ] {
+    for (ratio, across, s) in [(2.0, 10.0, 0.1), (2.0, 10.0, 2.0), (2.0, 20.0, 2.0), (3.0, 10.0, 0.1), (3.0, 10.0, 2.0)]
+    {
         let what = format!("cylinder in a vessel, b/a = {ratio}, a/dx = {across}, s = {s}: C");
         let c = annulus(lane, ratio, across, s, STIFF);
         own[usize::from(s > 1.0)].push([ratio, c]);
@@ -130,16 +107,8 @@ fn cylinder_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
 /// A5. A level surface through the middle, where pressure is zero, changes nothing: mirrored there with the opposite sign, the potential
 /// of the half is that of the whole.
 fn ball_in_the_surface(lane: Lane, sheet: &mut Sheet) {
-    for (ratio, across, s) in [
-        (2.0, 10.0, 0.5),
-        (2.0, 10.0, 2.0),
-        (3.0, 10.0, 0.5),
-        (6.0, 6.0, 0.5),
-    ] {
-        let vessel = Vessel {
-            half: true,
-            ..Vessel::full(ratio, across)
-        };
+    for (ratio, across, s) in [(2.0, 10.0, 0.5), (2.0, 10.0, 2.0), (3.0, 10.0, 0.5), (6.0, 6.0, 0.5)] {
+        let vessel = Vessel { half: true, ..Vessel::full(ratio, across) };
         let what = format!("ball half in the surface, b/a = {ratio}, a/dx = {across}, s = {s}: C");
         let c = vessel.added_mass(lane, s, STIFF);
         sheet.relative(&what, added_mass(true, ratio), c, OF_ADDED_MASS);
@@ -152,20 +121,10 @@ fn bodies_without_mass(lane: Lane, sheet: &mut Sheet) {
         let vessel = Vessel::full(2.0, 10.0);
         let what = format!("ball, b/a = 2, s = {s:e}: g over its acceleration upwards");
         let c = vessel.added_mass(lane, s, young);
-        sheet.relative(
-            &what,
-            (added_mass(true, 2.0) + s) / (1.0 - s),
-            (c + s) / (1.0 - s),
-            OF_ADDED_MASS,
-        );
+        sheet.relative(&what, (added_mass(true, 2.0) + s) / (1.0 - s), (c + s) / (1.0 - s), OF_ADDED_MASS);
         let what = format!("cylinder, b/a = 2, s = {s:e}: g over its acceleration upwards");
         let c = annulus(lane, 2.0, 10.0, s, young);
-        sheet.relative(
-            &what,
-            (added_mass(false, 2.0) + s) / (1.0 - s),
-            (c + s) / (1.0 - s),
-            OF_ADDED_MASS,
-        );
+        sheet.relative(&what, (added_mass(false, 2.0) + s) / (1.0 - s), (c + s) / (1.0 - s), OF_ADDED_MASS);
     }
 }
 
@@ -175,9 +134,7 @@ const STIFF: f64 = 1e9;
 /// From the table.
 fn added_mass(sphere: bool, ratio: f64) -> f64 {
     let rows = table("tests/data/added_mass.csv");
-    let row = rows
-        .iter()
-        .find(|row| (row[0] == 1.0) == sphere && row[1] == ratio);
+    let row = rows.iter().find(|row| (row[0] == 1.0) == sphere && row[1] == ratio);
     row.expect("the table has the case")[2]
 }
 
@@ -185,26 +142,13 @@ fn added_mass(sphere: bool, ratio: f64) -> f64 {
 /// pressure differ would swing by themselves.
 fn piston(lane: Lane, sheet: &mut Sheet) {
     for row in table("tests/data/piston_column.csv") {
-        let [m_s, k, column, _, ratio, omega, dt, z, omega_h] = row[..] else {
-            panic!("{row:?}")
-        };
+        let [m_s, k, column, _, ratio, omega, dt, z, omega_h] = row[..] else { panic!("{row:?}") };
         // On the device short steps take long.
         if lane != Lane::F64 && dt < 0.02 && ratio < 1000.0 {
             continue;
         }
         let steps = (1.2 * std::f64::consts::PI / (omega * dt)).ceil().max(8.0) as usize;
-        let (swing, velocities) = swings(
-            lane,
-            &Piston {
-                m_s,
-                k,
-                column,
-                dt,
-                off: 0.0,
-                patches: "cell",
-            },
-            steps,
-        );
+        let (swing, velocities) = swings(lane, &Piston { m_s, k, column, dt, off: 0.0, patches: "cell" }, steps);
         let what = format!("piston, m_a/m_s = {ratio}, dt = {dt}");
         sheet.relative(&format!("{what}: frequency, 1/s"), omega_h, swing[0], 1e-3);
         let [expected, got] = [z, swing[1]].map(|z| -z.ln());
@@ -228,17 +172,10 @@ fn piston(lane: Lane, sheet: &mut Sheet) {
         let own = velocities.iter().zip(1..);
         let own = own.map(|(v, number)| [dt * f64::from(number), *v]);
         sheet.chart(
-            &format!(
-                "piston against a column, m_a/m_s = {ratio}, dt = {dt}, {}",
-                lane.name()
-            ),
+            &format!("piston against a column, m_a/m_s = {ratio}, dt = {dt}, {}", lane.name()),
             ["t, s", "velocity over that of the first step"],
             vec![
-                Line::new(
-                    "backward Euler of mass and spring",
-                    Mark::Theory,
-                    over_first(discrete),
-                ),
+                Line::new("backward Euler of mass and spring", Mark::Theory, over_first(discrete)),
                 Line::new("piston", Mark::Points, over_first(own.collect())),
             ],
         );
@@ -248,14 +185,7 @@ fn piston(lane: Lane, sheet: &mut Sheet) {
     }
     // Where pressure is one number per cell, the column begins in the middle of the piston's cell.
     for patches in ["cell", "gradient"] {
-        let piston = Piston {
-            m_s: 100.0,
-            k: 1e5,
-            column: 1.0,
-            dt: 0.02,
-            off: 0.25,
-            patches,
-        };
+        let piston = Piston { m_s: 100.0, k: 1e5, column: 1.0, dt: 0.02, off: 0.25, patches };
         let ([frequency, _], _) = swings(lane, &piston, 24);
         sheet.info(
             &format!("piston a quarter of a cell off the middle of one, \"{patches}\", m_a/m_s = 10: frequency off by"),
@@ -289,14 +219,7 @@ impl Piston {
 /// Frequency (1/s) and factor per step of a piston that is pushed, from v'' = a v' + b v of its velocities in a row, and these, m/s.
 fn swings(lane: Lane, piston: &Piston, steps: usize) -> ([f64; 2], Vec<f64>) {
     const DX: f64 = 0.03;
-    let &Piston {
-        m_s,
-        k,
-        column,
-        dt,
-        off,
-        patches,
-    } = piston;
+    let &Piston { m_s, k, column, dt, off, patches } = piston;
     let length = (29.5 + off) * DX;
     let mut simulation = simulation(
         lane,
@@ -411,11 +334,9 @@ tolerance = 1e-10
         let top = mean_over(&simulation, |x| x.y > length - 1e-6).y;
         // Pressure at the top where it comes to lie: M u = - (rho g (level - L - u) L + rho_s g L^2 / 2).
         let modulus = young * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson));
-        let load = 1000.0 * GRAVITY * (level - length) * length
-            + 0.5 * density * GRAVITY * length * length;
+        let load = 1000.0 * GRAVITY * (level - length) * length + 0.5 * density * GRAVITY * length * length;
         let expected = -load / (modulus - 1000.0 * GRAVITY * length);
-        let what =
-            format!("column on a block, E = {young:e} Pa, after {seconds:.1} s: u of the top, m");
+        let what = format!("column on a block, E = {young:e} Pa, after {seconds:.1} s: u of the top, m");
         sheet.relative(&what, expected, top, 1e-4);
         let pressure = 1000.0 * GRAVITY * (level - length - expected);
         let heights = (0..=40).map(|n| length * f64::from(n) / 40.0);
@@ -428,15 +349,9 @@ tolerance = 1e-10
             [y, mean_at_height(&simulation, y)]
         });
         sheet.chart(
-            &format!(
-                "block under a column of water, E = {young:e} Pa, {}",
-                lane.name()
-            ),
+            &format!("block under a column of water, E = {young:e} Pa, {}", lane.name()),
             ["height at rest, m", "displacement, m"],
-            vec![
-                Line::new("exact", Mark::Theory, exact.collect()),
-                Line::new("nodes", Mark::Points, layers.collect()),
-            ],
+            vec![Line::new("exact", Mark::Theory, exact.collect()), Line::new("nodes", Mark::Points, layers.collect())],
         );
     }
 }
@@ -445,10 +360,7 @@ tolerance = 1e-10
 fn mean_at_height(simulation: &Simulation, y: f64) -> f64 {
     let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
     let nodes = simulation.solids().rest.iter().zip(&state.displacement);
-    let there: Vec<f64> = nodes
-        .filter(|(rest, _)| (rest.y - y).abs() < 1e-6)
-        .map(|(_, u)| u[1])
-        .collect();
+    let there: Vec<f64> = nodes.filter(|(rest, _)| (rest.y - y).abs() < 1e-6).map(|(_, u)| u[1]).collect();
     there.iter().sum::<f64>() / there.len() as f64
 }
 
@@ -489,16 +401,12 @@ fn floating_bodies(lane: Lane, sheet: &mut Sheet) {
     const LEVEL: f64 = 0.37;
     let (height, radius) = (0.2, 0.12);
     let mut drafts = [Vec::new(), Vec::new()];
-    for row in table("tests/data/buoyancy_equilibrium.csv")
-        .into_iter()
-        .take(2)
-    {
+    for row in table("tests/data/buoyancy_equilibrium.csv").into_iter().take(2) {
         let box_mesh = format!("box = {{ size = [0.4, {height:?}, 0.4], cells = [4, 2, 4] }}");
         let ball_mesh = format!("sphere = {{ radius = {radius:?}, cell_size = 0.03 }}");
-        for (name, mesh, half, draft) in [
-            ("box", box_mesh, 0.5 * height, row[1] * height),
-            ("ball", ball_mesh, radius, row[2] * radius),
-        ] {
+        for (name, mesh, half, draft) in
+            [("box", box_mesh, 0.5 * height, row[1] * height), ("ball", ball_mesh, radius, row[2] * radius)]
+        {
             let start = LEVEL - 0.6 * draft + half;
             let mut simulation = simulation(
                 lane,
@@ -533,9 +441,7 @@ solid = {{ name = \"body\" }}
                 step(&mut simulation);
             }
             let speed = mean_velocity(&simulation).length();
-            let middle = simulation
-                .probes()
-                .unwrap_or_else(|error| panic!("{error}"))[1];
+            let middle = simulation.probes().unwrap_or_else(|error| panic!("{error}"))[1];
             let got = LEVEL - (middle - half);
             let what = format!("floating {name}, s = {}: draft off by, cells", row[0]);
             sheet.at_most(&what, (got - draft).abs() / DX, 0.25);
@@ -631,9 +537,8 @@ tolerance = 1e-10
         let rest = simulation.solids().rest.iter().enumerate();
         let of_middle = rest.filter(|(_, x)| (x.x - 0.5).abs() < 1e-6);
         let nodes: Vec<usize> = of_middle.map(|(node, _)| node).collect();
-        [&state.displacement, &state.node_velocity].map(|of_node| {
-            nodes.iter().map(|&node| of_node[node][1]).sum::<f64>() / nodes.len() as f64
-        })
+        [&state.displacement, &state.node_velocity]
+            .map(|of_node| nodes.iter().map(|&node| of_node[node][1]).sum::<f64>() / nodes.len() as f64)
     }
 
     /// Under a load on its upper side, dry, m.
@@ -677,11 +582,7 @@ fn plate_under_water(lane: Lane, sheet: &mut Sheet) {
     let expected = -7.065e-5;
     let calibrated = |bricks, dt| {
         let young = 67.5e9;
-        let dry = Plate {
-            young,
-            bricks,
-            dt: 0.02,
-        };
+        let dry = Plate { young, bricks, dt: 0.02 };
         let kfac = dry.dry(lane, load) / expected;
         let young = kfac * young;
         (kfac, Plate { young, bricks, dt })
@@ -690,9 +591,7 @@ fn plate_under_water(lane: Lane, sheet: &mut Sheet) {
         let (kfac, plate) = calibrated(bricks, 0.02);
         let mut wet = plate.wet(lane);
         settle(&mut wet, 50);
-        let what = format!(
-            "plate under 2 m of water, {bricks:?} bricks, E times {kfac:.4}: deflection, m"
-        );
+        let what = format!("plate under 2 m of water, {bricks:?} bricks, E times {kfac:.4}: deflection, m");
         sheet.relative(&what, expected, Plate::middle(&wet)[0], 0.03);
     }
     // Water and weight come on at once: it swings about that in the first mode of plate and column (beam modes, and the potential of the
@@ -724,19 +623,12 @@ fn plate_under_water(lane: Lane, sheet: &mut Sheet) {
     let discrete = discrete.collect();
     let ends = [own[0][0], own[own.len() - 1][0]];
     sheet.chart(
-        &format!(
-            "clamped plate when 2 m of water come on at once, {}",
-            lane.name()
-        ),
+        &format!("clamped plate when 2 m of water come on at once, {}", lane.name()),
         ["t, s", "deflection of the middle, micrometres"],
         vec![
             Line::new("plate", Mark::Line, own),
             Line::new("first mode, backward Euler", Mark::Theory, discrete),
-            Line::new(
-                "at rest (scikit-fem)",
-                Mark::Theory,
-                ends.map(|t| [t, 1e6 * expected]).to_vec(),
-            ),
+            Line::new("at rest (scikit-fem)", Mark::Theory, ends.map(|t| [t, 1e6 * expected]).to_vec()),
         ],
     );
     let expected = (omega * dt).atan() / dt / std::f64::consts::TAU;
@@ -780,9 +672,7 @@ solid = {{ name = \"ball\" }}
             let report = step(&mut simulation);
             let liquid = report.liquid.expect("the scene has liquid");
             divergence = larger(divergence, liquid.diagnosis.divergence);
-            let probes = simulation
-                .probes()
-                .unwrap_or_else(|error| panic!("{error}"));
+            let probes = simulation.probes().unwrap_or_else(|error| panic!("{error}"));
             off = larger(off, (probes[3] - 1.0).abs());
             let speed = mean_velocity(&simulation).y;
             motion.push((simulation.clock().time, speed, probes));
@@ -802,10 +692,8 @@ solid = {{ name = \"ball\" }}
             let what = format!("{what}: acceleration from the third on, g");
             sheet.at_most(&what, mean.abs(), 1e-4);
         } else {
-            sheet.info(
-                &format!("{what}: speed upwards, m/s; way, m"),
-                format!("{:.4}; {:.4}", last.1, last.2[1] - 0.5),
-            );
+            sheet
+                .info(&format!("{what}: speed upwards, m/s; way, m"), format!("{:.4}; {:.4}", last.1, last.2[1] - 0.5));
         }
     }
 }
@@ -854,23 +742,13 @@ struct Vessel {
 
 impl Vessel {
     fn full(ratio: f64, across: f64) -> Vessel {
-        Vessel {
-            ratio,
-            across,
-            half: false,
-            formulation: "auto",
-        }
+        Vessel { ratio, across, half: false, formulation: "auto" }
     }
 
     /// Liquid that goes with the ball over what it displaces, from its acceleration in one step from rest. `s`: mass of the ball over
     /// that of the liquid it displaces; `young`: Pa.
     fn added_mass(&self, lane: Lane, s: f64, young: f64) -> f64 {
-        let Vessel {
-            ratio,
-            across,
-            half,
-            formulation,
-        } = *self;
+        let Vessel { ratio, across, half, formulation } = *self;
         let a = 0.1;
         let dx = a / across;
         let n = 2 * (ratio * across).ceil() as usize + 2;
@@ -1003,18 +881,14 @@ fn disc(radius: f64, thickness: f64, rings: usize, sides: usize) -> String {
 
 /// Triangles of a plane z = 0, drawn up through layers between heights, m, in the text of a Gmsh file: wedges of three tetrahedra each.
 pub(crate) fn extruded(flat: &[DVec3], triangles: &[[usize; 3]], heights: &[f64]) -> String {
-    let all = heights
-        .iter()
-        .flat_map(|&z| flat.iter().map(move |x| x.with_z(z)));
+    let all = heights.iter().flat_map(|&z| flat.iter().map(move |x| x.with_z(z)));
     let nodes: Vec<DVec3> = all.collect();
     let mut elements = Vec::new();
     for layer in 1..heights.len() {
         let low = (layer - 1) * flat.len();
         for triangle in triangles {
             // The least number first: neighbours cut the side between them along the same diagonal.
-            let first = (0..3)
-                .min_by_key(|&at| triangle[at])
-                .expect("three corners");
+            let first = (0..3).min_by_key(|&at| triangle[at]).expect("three corners");
             let [a, b, c] = [0, 1, 2].map(|at| low + triangle[(first + at) % 3]);
             let [d, e, f] = [a, b, c].map(|node| node + flat.len());
             if b < c {
@@ -1030,8 +904,7 @@ pub(crate) fn extruded(flat: &[DVec3], triangles: &[[usize; 3]], heights: &[f64]
 /// Tetrahedra as Gmsh 4.1 writes them.
 fn gmsh(nodes: &[DVec3], elements: &[[usize; 4]]) -> String {
     let (n, m) = (nodes.len(), elements.len());
-    let mut text =
-        format!("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 {n} 1 {n}\n3 1 0 {n}\n");
+    let mut text = format!("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 {n} 1 {n}\n3 1 0 {n}\n");
     let mut line = |words: std::fmt::Arguments| {
         text.write_fmt(words).expect("a String takes everything");
     };
@@ -1039,14 +912,8 @@ fn gmsh(nodes: &[DVec3], elements: &[[usize; 4]]) -> String {
     for x in nodes {
         line(format_args!("{:?} {:?} {:?}\n", x.x, x.y, x.z));
     }
-    line(format_args!(
-        "$EndNodes\n$Elements\n1 {m} 1 {m}\n3 1 4 {m}\n"
-    ));
-    for (element, [a, b, c, d]) in elements
-        .iter()
-        .zip(1..)
-        .map(|(e, tag)| (tag, e.map(|node| node + 1)))
-    {
+    line(format_args!("$EndNodes\n$Elements\n1 {m} 1 {m}\n3 1 4 {m}\n"));
+    for (element, [a, b, c, d]) in elements.iter().zip(1..).map(|(e, tag)| (tag, e.map(|node| node + 1))) {
         line(format_args!("{element} {a} {b} {c} {d}\n"));
     }
     line(format_args!("$EndElements\n"));

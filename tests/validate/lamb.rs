@@ -11,11 +11,7 @@ use crate::sheet::Sheet;
 use crate::solid_modes::ringing;
 
 pub(crate) fn cases() -> Vec<Case> {
-    let case = |lane: Lane| {
-        Case::new(format!("L1/{}", lane.name()), move |sheet| {
-            plate_in_a_wall(lane, sheet)
-        })
-    };
+    let case = |lane: Lane| Case::new(format!("L1/{}", lane.name()), move |sheet| plate_in_a_wall(lane, sheet));
     Lane::PRECISE.map(case).into()
 }
 
@@ -48,10 +44,7 @@ fn plate_in_a_wall(lane: Lane, sheet: &mut Sheet) {
     let wet = frequency(lane, 0.25 / (thin * expected), true);
     let what = "plate in a wall, water on one side: frequency over that when dry";
     sheet.relative(what, expected, wet / dry, 0.05);
-    sheet.info(
-        "the same: frequency when dry over that of a thin plate",
-        format!("{:.3}", dry / thin),
-    );
+    sheet.info("the same: frequency when dry over that of a thin plate", format!("{:.3}", dry / thin));
 }
 
 /// Frequency of the first mode, 1/s, with steps of dt (s). Backward Euler damps the higher modes of the pushed plate first.
@@ -59,10 +52,7 @@ fn frequency(lane: Lane, dt: f64, wet: bool) -> f64 {
     // Walls L = 2 WIDTH apart drag along more than water without end, p = 0 at a distance less. They offset each other at
     // -4 zeta(1/2) beta(1/2) L / (2 pi): what the sum over the box's modes lacks of the integral over all.
     let level = TOP + 3.900_264_9 * 2.0 * WIDTH / (2.0 * PI);
-    let cells = [
-        (WIDTH / DX).round() as usize,
-        (level / DX).ceil() as usize + 1,
-    ];
+    let cells = [(WIDTH / DX).round() as usize, (level / DX).ceil() as usize + 1];
     let mut text = format!(
         "[domain]
 size = [{WIDTH:?}, {WIDTH:?}, {height:?}]

@@ -103,12 +103,7 @@ impl Motion {
         // Every step ends a frame: no dt is stretched to fit one.
         scene.time.frames_per_second = 1.0 / dt;
         scene.time.fixed_step = Some(dt);
-        Motion {
-            solids: solids_of(&scene),
-            simulation: Simulation::new(&scene, &lane.backend()).unwrap(),
-            lane,
-            dt,
-        }
+        Motion { solids: solids_of(&scene), simulation: Simulation::new(&scene, &lane.backend()).unwrap(), lane, dt }
     }
 
     pub(crate) fn state(&self) -> State {
@@ -129,10 +124,7 @@ impl Motion {
         let solid = report.solid.unwrap();
         let status = solid.solve.status;
         let excused = self.lane == Lane::F32 && status == SolveStatus::Stagnated;
-        assert!(
-            excused || status == SolveStatus::Converged,
-            "the solve ended with {report:?}"
-        );
+        assert!(excused || status == SolveStatus::Converged, "the solve ended with {report:?}");
         solid
     }
 
@@ -163,17 +155,11 @@ impl Motion {
 
     /// Momentum (kg m/s) and angular momentum about the origin (kg m^2/s), from the state, with the masses that the lane has.
     pub(crate) fn momenta(&self) -> [DVec3; 2] {
-        let State {
-            displacement,
-            node_velocity,
-            ..
-        } = self.state();
+        let State { displacement, node_velocity, .. } = self.state();
         let mut sums = [DVec3::ZERO; 2];
         for (node, (u, v)) in displacement.iter().zip(&node_velocity).enumerate() {
             let mass = self.solids.mass[node];
-            let mass = self
-                .lane
-                .choose(mass, f64::from(mass as f32), f64::from(mass as f32));
+            let mass = self.lane.choose(mass, f64::from(mass as f32), f64::from(mass as f32));
             let momentum = mass * DVec3::from(*v);
             sums[0] += momentum;
             sums[1] += (self.solids.rest[node] + DVec3::from(*u)).cross(momentum);
@@ -209,10 +195,7 @@ impl Probe {
             Lane::F64 => None,
             _ => Some(GpuPath::open(&scene, &AdapterChoice::Best).unwrap()),
         };
-        Probe {
-            solids: solids_of(&scene),
-            device,
-        }
+        Probe { solids: solids_of(&scene), device }
     }
 
     /// With these displacements, m.
@@ -260,8 +243,7 @@ impl Probe {
                 let [x, y, z, _] = seen.rotated[corner][element];
                 DVec3::new(x, y, z)
             });
-            let [a, b, c] =
-                [0, 1, 2].map(|corner| DVec3::from(seen.element_forces[corner][element]));
+            let [a, b, c] = [0, 1, 2].map(|corner| DVec3::from(seen.element_forces[corner][element]));
             (turned, [-(a + b + c), a, b, c])
         });
         let (rotated, forces) = all.unzip();
@@ -269,11 +251,7 @@ impl Probe {
     }
 
     /// Largest force that all elements together put on a node, N.
-    pub(crate) fn largest_on_nodes(
-        &self,
-        elements: &Elements,
-        counts: impl Fn(usize) -> bool,
-    ) -> f64 {
+    pub(crate) fn largest_on_nodes(&self, elements: &Elements, counts: impl Fn(usize) -> bool) -> f64 {
         let mut sums = vec![DVec3::ZERO; self.solids.rest.len()];
         for (nodes, forces) in self.solids.elements.iter().zip(&elements.forces) {
             for (node, force) in nodes.iter().zip(forces) {
@@ -289,7 +267,5 @@ impl Probe {
 pub(crate) fn affine(solids: &Solids, matrix: DMat3, about: DVec3) -> Vec<[f64; 3]> {
     let difference = matrix - DMat3::IDENTITY;
     let nodes = solids.rest.iter();
-    nodes
-        .map(|&x| (difference * (x - about)).to_array())
-        .collect()
+    nodes.map(|&x| (difference * (x - about)).to_array()).collect()
 }

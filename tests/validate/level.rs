@@ -10,11 +10,7 @@ use crate::page::{Line, Mark};
 use crate::sheet::Sheet;
 
 pub(crate) fn cases() -> Vec<Case> {
-    vec![
-        Case::new("F13/waves", waves),
-        Case::new("F13/rest", rest),
-        Case::new("F13/falling", falling),
-    ]
+    vec![Case::new("F13/waves", waves), Case::new("F13/rest", rest), Case::new("F13/falling", falling)]
 }
 
 /// Height of the surface in each column of cells, m; of columns with a surface.
@@ -23,15 +19,11 @@ fn heights(grid: &Grid, phi: &[f64]) -> Vec<([usize; 2], f64)> {
     let columns = (0..nz).flat_map(|k| (0..nx).map(move |i| [i, k]));
     let height = |[i, k]: [usize; 2]| {
         let at = |j: usize| phi[grid.cell([i, j, k])];
-        let below = (0..ny - 1)
-            .rev()
-            .find(|&j| at(j) < 0.0 && at(j + 1) >= 0.0)?;
+        let below = (0..ny - 1).rev().find(|&j| at(j) < 0.0 && at(j + 1) >= 0.0)?;
         let part = at(below) / (at(below) - at(below + 1));
         Some(([i, k], (below as f64 + 0.5 + part) * grid.dx))
     };
-    columns
-        .filter_map(|column| Some((column, height(column)?.1)))
-        .collect()
+    columns.filter_map(|column| Some((column, height(column)?.1))).collect()
 }
 
 /// Volume of the liquid, cells, by 4^3 samples in each.
@@ -102,9 +94,7 @@ impl Wave {
             vertex(film, highest.expect("a wave of many sub-steps"))
         };
         let n = (2.0 * PERIODS) as usize;
-        let logs: Vec<(f64, f64)> = (0..n)
-            .map(|half| (half as f64 / 2.0, crest(half).ln()))
-            .collect();
+        let logs: Vec<(f64, f64)> = (0..n).map(|half| (half as f64 / 2.0, crest(half).ln())).collect();
         let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / n as f64;
         let (t, log) = (mean(|p| p.0), mean(|p| p.1));
         let across: f64 = logs.iter().map(|p| (p.0 - t) * (p.1 - log)).sum();
@@ -141,28 +131,16 @@ fn mode(grid: &Grid, simulation: &Simulation) -> f64 {
 
 /// Waves lose nothing in an inviscid liquid.
 fn waves(sheet: &mut Sheet) {
-    for (length, amplitude, allowed) in [
-        (20, 1.5, 0.03),
-        (28, 1.7, 0.03),
-        (40, 2.0, 0.01),
-        (20, 0.6, 0.04),
-        (28, 0.6, 0.025),
-        (40, 0.7, 0.025),
-    ] {
-        let of = |surface| Wave {
-            length,
-            amplitude,
-            surface,
-        };
+    for (length, amplitude, allowed) in
+        [(20, 1.5, 0.03), (28, 1.7, 0.03), (40, 2.0, 0.01), (20, 0.6, 0.04), (28, 0.6, 0.025), (40, 0.7, 0.025)]
+    {
+        let of = |surface| Wave { length, amplitude, surface };
         let [level, markers] = ["level", "markers"].map(|surface| of(surface).film());
-        let [loss, loss_of_markers] = [("level", &level), ("markers", &markers)]
-            .map(|(surface, film)| of(surface).loss(film));
+        let [loss, loss_of_markers] =
+            [("level", &level), ("markers", &markers)].map(|(surface, film)| of(surface).loss(film));
         let what = format!("wave of {length} cells, {amplitude} high: loss in a period");
         sheet.at_most(&what, loss.abs(), allowed);
-        sheet.info(
-            &format!("{what}, surface = \"markers\""),
-            format!("{loss_of_markers:.3}"),
-        );
+        sheet.info(&format!("{what}, surface = \"markers\""), format!("{loss_of_markers:.3}"));
         if (length, amplitude) == (20, 1.5) {
             sheet.chart(
                 "standing wave of 20 cells, 1.5 high",
@@ -197,8 +175,7 @@ fn rest(sheet: &mut Sheet) {
             liquid.diagnosis.max_speed / (GRAVITY * report.dt)
         });
         let fastest = speeds.fold(0.0, larger);
-        let what =
-            format!("pool of {height} of {n} cells, {AT_REST} sub-steps: largest speed over g dt");
+        let what = format!("pool of {height} of {n} cells, {AT_REST} sub-steps: largest speed over g dt");
         sheet.at_most(&what, fastest, 0.02);
         let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
         let heights = heights(&scene.grid(), &state.liquid_distance);
@@ -224,21 +201,11 @@ fn falling(sheet: &mut Sheet) {
         let radius = cells * dx;
         let region = format!("sphere = {{ centre = [0.51, 2.52, 0.49], radius = {radius} }}");
         let volume = 4.0 / 3.0 * std::f64::consts::PI * cells.powi(3);
-        (
-            format!("drop of radius {cells} cells"),
-            region,
-            volume,
-            0.08,
-        )
+        (format!("drop of radius {cells} cells"), region, volume, 0.08)
     };
-    for (name, region, exact, allowed) in [
-        sheet_of(1.0, 0.2),
-        sheet_of(1.5, 0.08),
-        sheet_of(2.0, 0.08),
-        sheet_of(3.0, 0.08),
-        drop_of(2.0),
-        drop_of(3.0),
-    ] {
+    for (name, region, exact, allowed) in
+        [sheet_of(1.0, 0.2), sheet_of(1.5, 0.08), sheet_of(2.0, 0.08), sheet_of(3.0, 0.08), drop_of(2.0), drop_of(3.0)]
+    {
         let text = format!(
             "[domain]\nsize = [1, 3, 1]\ncells = {n:?}\n[time]\nduration = 0.6\nframes_per_second = 24\n\
              [liquid]\nsurface = \"level\"\n[[liquid.region]]\n{region}\n",

@@ -38,8 +38,7 @@ fn file(name: &str) -> PathBuf {
 /// A scene of `scenes/`, with overrides.
 pub(crate) fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
     let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&file(&format!("scenes/{name}.toml")), &overrides, scale)
-        .unwrap_or_else(|error| panic!("{error}"))
+    Scene::load(&file(&format!("scenes/{name}.toml")), &overrides, scale).unwrap_or_else(|error| panic!("{error}"))
 }
 
 pub(crate) fn written(text: &str) -> Scene {
@@ -71,9 +70,7 @@ pub(crate) fn table(name: &str) -> Vec<Vec<f64>> {
     let rows = text.lines().filter(|line| !line.starts_with('#')).skip(1);
     rows.map(|line| {
         let fields = line.split(',');
-        fields
-            .map(|field| field.parse().expect("a number"))
-            .collect()
+        fields.map(|field| field.parse().expect("a number")).collect()
     })
     .collect()
 }
@@ -115,9 +112,7 @@ fn bumpy_at_rest(scene: &Scene, sheet: &mut Sheet) {
         std::f64::consts::PI * bump.powi(2) * area / (grid.dx * volume),
     );
     sheet.at_most(
-        &format!(
-            "markers, {AT_REST} sub-steps: kinetic energy over what bumps of {ROUGHNESS} cells hold"
-        ),
+        &format!("markers, {AT_REST} sub-steps: kinetic energy over what bumps of {ROUGHNESS} cells hold"),
         diagnosis(last).kinetic_energy / (0.5 * density * GRAVITY * bump.powi(2) * area),
         1.0,
     );
@@ -191,11 +186,10 @@ fn sphere_at_rest(sheet: &mut Sheet) {
 
 fn dam_release(sheet: &mut Sheet) {
     // A column 32 cells high and wide, free on top and to the right; a probe at each point of the table.
-    let mut text =
-        "[domain]\nsize = [1.0, 0.75, 0.03125]\ncells = [64, 48, 2]\n[time]\nduration = 1\n\
+    let mut text = "[domain]\nsize = [1.0, 0.75, 0.03125]\ncells = [64, 48, 2]\n[time]\nduration = 1\n\
                     [liquid]\nsurface = \"fixed\"\n\
                     [[liquid.region]]\nbox = { min = [0, 0, 0], max = [0.5, 0.5, 0.03125] }\n"
-            .to_owned();
+        .to_owned();
     // The acceleration is singular at the corner, and probes interpolate between centres: none half a cell from a side.
     let inside = |row: &&Vec<f64>| {
         let [x, y] = [row[0], row[1]];
@@ -212,14 +206,9 @@ fn dam_release(sheet: &mut Sheet) {
     let scene = written(&text);
     let mut simulation = simulation(&scene, &gpu());
     let report = step(&mut simulation);
-    let got = simulation
-        .probes()
-        .unwrap_or_else(|error| panic!("{error}"));
-    let errors: Vec<f64> = rows
-        .iter()
-        .zip(&got)
-        .map(|(row, p)| (p / (1000.0 * GRAVITY * 0.5) - row[2]).abs())
-        .collect();
+    let got = simulation.probes().unwrap_or_else(|error| panic!("{error}"));
+    let errors: Vec<f64> =
+        rows.iter().zip(&got).map(|(row, p)| (p / (1000.0 * GRAVITY * 0.5) - row[2]).abs()).collect();
     let what = format!("largest error of p / (rho g H) at {} points", errors.len());
     // Twice dx^2 in the depth of the column: second order, away from the corner's singularity.
     sheet.at_most(&what, largest(&errors), 2.0 / f64::powi(32.0, 2));
@@ -227,9 +216,8 @@ fn dam_release(sheet: &mut Sheet) {
     // right angle. The stencil has 0.48730 and -0.50000 g with these cells, an error that falls as dx^2.
     let grid = scene.grid();
     let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
-    let acceleration = |axis: Axis, ijk: [usize; 3]| {
-        state.velocity[axis.index()][grid.face(axis, ijk)] / (GRAVITY * report.dt)
-    };
+    let acceleration =
+        |axis: Axis, ijk: [usize; 3]| state.velocity[axis.index()][grid.face(axis, ijk)] / (GRAVITY * report.dt);
     let front = [15, 16].map(|row| acceleration(Axis::X, [32, row, 0]));
     let what = "acceleration of the front half-way up, a_x / g";
     sheet.relative(what, 0.486_559, 0.5 * (front[0] + front[1]), 0.005);
@@ -257,9 +245,7 @@ fn standing_wave(sheet: &mut Sheet) {
     while simulation.clock().frame < scene.n_frames() {
         step(&mut simulation);
         aside.push((simulation.clock().time, middle(&simulation)[0] - 1.0));
-        let heights = simulation
-            .probes()
-            .unwrap_or_else(|error| panic!("{error}"));
+        let heights = simulation.probes().unwrap_or_else(|error| panic!("{error}"));
         for (wall, height) in walls.iter_mut().zip(heights) {
             wall.push((simulation.clock().time, height));
         }
@@ -275,11 +261,7 @@ fn standing_wave(sheet: &mut Sheet) {
         ["t, s", "level, m"],
         vec![
             Line::new("64 cells between the walls", Mark::Line, points(&walls[0])),
-            Line::new(
-                "linear theory, without loss",
-                Mark::Theory,
-                times().map(|t| [t, linear(t)]).collect(),
-            ),
+            Line::new("linear theory, without loss", Mark::Theory, times().map(|t| [t, linear(t)]).collect()),
         ],
     );
     let times = crossings(&aside, 0.0);
@@ -290,10 +272,7 @@ fn standing_wave(sheet: &mut Sheet) {
         (times[4] - times[0]) / 2.0
     });
     let off = periods.map(|wall| format!("{:+.1} %", 100.0 * (wall / period - 1.0)));
-    sheet.info(
-        "the same by the level at each wall, which is bumpy",
-        off.join(", "),
-    );
+    sheet.info("the same by the level at each wall, which is bumpy", off.join(", "));
 }
 
 /// F4 again, on 20 and 40 cells a wavelength: half of one between walls 1 m apart, 1 m deep, one and a half cells high.
@@ -320,8 +299,7 @@ fn coarse_waves(sheet: &mut Sheet) {
         }
         // Once there and back, so that it does not matter around what the middle swings.
         let times = crossings(&aside, 0.0);
-        let what =
-            format!("{cells} cells a wavelength, 1.5 cells high: period over two periods, s");
+        let what = format!("{cells} cells a wavelength, 1.5 cells high: period over two periods, s");
         sheet.relative(&what, period, 0.5 * (times[4] - times[0]), allowed);
     }
 }
@@ -354,9 +332,7 @@ fn collapsing_column(sheet: &mut Sheet) {
     let (mut front, mut left) = (vec![(0.0, 1.0)], vec![(0.0, 1.0)]);
     while front.last().is_some_and(|&(t, _)| t < 3.4) {
         step(&mut simulation);
-        let probes = simulation
-            .probes()
-            .unwrap_or_else(|error| panic!("{error}"));
+        let probes = simulation.probes().unwrap_or_else(|error| panic!("{error}"));
         let time = simulation.clock().time;
         front.push((time * scaled, probes[0] / a));
         left.push((time * (GRAVITY / a).sqrt(), probes[1] / (2.0 * a)));
@@ -367,11 +343,8 @@ fn collapsing_column(sheet: &mut Sheet) {
         z0 + (z1 - z0) * (t - t0) / (t1 - t0)
     };
     let measured = table("tests/data/martin_moyce_front.csv");
-    let late: Vec<[f64; 2]> = measured
-        .iter()
-        .map(|row| [row[0], row[1]])
-        .filter(|[t, _]| (1.1..3.0).contains(t))
-        .collect();
+    let late: Vec<[f64; 2]> =
+        measured.iter().map(|row| [row[0], row[1]]).filter(|[t, _]| (1.1..3.0).contains(t)).collect();
     // Slopes by least squares over the same times.
     let slope = |points: &[[f64; 2]]| {
         let n = points.len() as f64;
@@ -383,9 +356,7 @@ fn collapsing_column(sheet: &mut Sheet) {
     let expected = slope(&late);
     let what = "speed of the front, dZ/dT for T from 1.2 to 3";
     sheet.relative(what, expected, slope(&own), 0.05);
-    let off = measured
-        .iter()
-        .map(|row| (z_at(row[0]) / row[1] - 1.0).abs());
+    let off = measured.iter().map(|row| (z_at(row[0]) / row[1] - 1.0).abs());
     let heights = table("tests/data/martin_moyce_height.csv");
     let pairs = |rows: &[Vec<f64>]| rows.iter().map(|row| [row[0], row[1]]).collect();
     sheet.chart(
@@ -437,10 +408,7 @@ fn free_fall(sheet: &mut Sheet) {
     let off = (0..3).map(|a| (end[a] - start[a] - way[a]).abs() / (1.5 * time));
     let what = "way of the centre of mass, relative error";
     sheet.at_most(what, off.fold(0.0, larger), 1e-4);
-    let diagnosis = last
-        .and_then(|report| report.liquid)
-        .expect("six sub-steps")
-        .diagnosis;
+    let diagnosis = last.and_then(|report| report.liquid).expect("six sub-steps").diagnosis;
     let velocity = diagnosis.momentum.map(|p| p / (1000.0 * diagnosis.volume));
     let what = "mean velocity down after 6 sub-steps, m/s";
     sheet.relative(what, speed, velocity[1], 1e-3);

@@ -79,20 +79,12 @@ pub(crate) struct Case {
 
 impl Case {
     fn new(id: impl Into<String>, run: impl Fn(&mut Sheet) + Send + Sync + 'static) -> Case {
-        Case {
-            topic: "",
-            id: id.into(),
-            alone: false,
-            run: Box::new(run),
-        }
+        Case { topic: "", id: id.into(), alone: false, run: Box::new(run) }
     }
 
     /// One that runs while no other does.
     fn alone(id: impl Into<String>, run: impl Fn(&mut Sheet) + Send + Sync + 'static) -> Case {
-        Case {
-            alone: true,
-            ..Case::new(id, run)
-        }
+        Case { alone: true, ..Case::new(id, run) }
     }
 
     /// Rows and charts. A panic is a failed row.
@@ -150,13 +142,8 @@ fn run(cases: &[&Case], jobs: usize, store: &ResultStore, published: &Published)
         print!("{}", sheet::lines(&results.rows));
         *done[number].lock().expect("no other thread has this case") = results;
     };
-    let (alone, mut beside): (Vec<usize>, Vec<usize>) =
-        (0..cases.len()).partition(|&number| cases[number].alone);
-    let seconds = |number: usize| {
-        published
-            .seconds(&cases[number].id)
-            .unwrap_or(f64::INFINITY)
-    };
+    let (alone, mut beside): (Vec<usize>, Vec<usize>) = (0..cases.len()).partition(|&number| cases[number].alone);
+    let seconds = |number: usize| published.seconds(&cases[number].id).unwrap_or(f64::INFINITY);
     beside.sort_by(|&a, &b| seconds(b).total_cmp(&seconds(a)));
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
@@ -266,10 +253,7 @@ fn main() -> ExitCode {
 fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
     let all = cases();
     cost::check(all.iter().map(|case| case.id.as_str()));
-    let cases: Vec<&Case> = all
-        .iter()
-        .filter(|case| options.selects(&case.id))
-        .collect();
+    let cases: Vec<&Case> = all.iter().filter(|case| options.selects(&case.id)).collect();
     if cases.is_empty() {
         eprintln!("no case has an id with {}", options.filters.join(" or "));
         return Ok(ExitCode::from(2));
@@ -279,11 +263,7 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         for case in &cases {
             let seconds = published.seconds(&case.id);
             let seconds = seconds.map_or("-".to_owned(), |seconds| format!("{seconds:.0} s"));
-            println!(
-                "{:<40} {:<8} {seconds:>6}",
-                case.id,
-                cost::class_of(&case.id).name()
-            );
+            println!("{:<40} {:<8} {seconds:>6}", case.id, cost::class_of(&case.id).name());
         }
         return Ok(ExitCode::SUCCESS);
     }
@@ -302,9 +282,7 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         cases.len(),
         machine.name(),
         options.jobs,
-        classes(cost::sums(
-            cases.iter().map(|case| (case.id.as_str(), before(case)))
-        ))
+        classes(cost::sums(cases.iter().map(|case| (case.id.as_str(), before(case)))))
     );
     let start = Instant::now();
     let store = ResultStore::new(&sheet::folder(), &machine)?;
@@ -313,10 +291,7 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         cases.iter().try_for_each(|case| store.remove(&case.id))?;
     }
     let Results { rows, charts } = run(&cases, options.jobs, &store, &published);
-    let failed: Vec<&Row> = rows
-        .iter()
-        .filter(|row| row.passed == Some(false))
-        .collect();
+    let failed: Vec<&Row> = rows.iter().filter(|row| row.passed == Some(false)).collect();
     let summary = format!(
         "{} rows of {} cases in {:.0} s on {}: {} failed",
         rows.len(),

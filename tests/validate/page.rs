@@ -36,11 +36,7 @@ pub(crate) struct Line {
 impl Line {
     pub(crate) fn new(label: impl Into<String>, mark: Mark, points: Vec<[f64; 2]>) -> Line {
         let label = label.into();
-        Line {
-            label,
-            mark,
-            points,
-        }
+        Line { label, mark, points }
     }
 }
 
@@ -55,12 +51,7 @@ pub(crate) struct Chart {
 }
 
 /// Page and pictures into a folder, for rows and charts in the order of the cases.
-pub(crate) fn write(
-    folder: &Path,
-    rows: &[Row],
-    charts: &[Chart],
-    summary: &str,
-) -> Result<(), Box<dyn Error>> {
+pub(crate) fn write(folder: &Path, rows: &[Row], charts: &[Chart], summary: &str) -> Result<(), Box<dyn Error>> {
     let mut page = format!("# Validation\n\n{summary}\n\n");
     if rows.iter().any(|row| row.passed.is_some()) {
         page += "Error over the allowed error, a mark per row. Marks right of the line are failures and drawn as crosses. A ring is a property in words: \
@@ -82,11 +73,7 @@ pub(crate) fn write(
 }
 
 /// glance.svg of all judged rows, and a file per chart.
-pub(crate) fn write_pictures(
-    folder: &Path,
-    rows: &[Row],
-    charts: &[Chart],
-) -> Result<(), Box<dyn Error>> {
+pub(crate) fn write_pictures(folder: &Path, rows: &[Row], charts: &[Chart]) -> Result<(), Box<dyn Error>> {
     let judged: Vec<&Row> = rows.iter().filter(|row| row.passed.is_some()).collect();
     if !judged.is_empty() {
         glance(&folder.join("glance.svg"), &judged)?;
@@ -98,13 +85,8 @@ pub(crate) fn write_pictures(
 }
 
 /// Removes the charts of the cases in `old`, and those of no case in `ids`.
-pub(crate) fn remove_charts(
-    folder: &Path,
-    old: &BTreeSet<&str>,
-    ids: &BTreeSet<&str>,
-) -> io::Result<()> {
-    let files =
-        |ids: &BTreeSet<&str>| -> BTreeSet<String> { ids.iter().map(|id| file_stem(id)).collect() };
+pub(crate) fn remove_charts(folder: &Path, old: &BTreeSet<&str>, ids: &BTreeSet<&str>) -> io::Result<()> {
+    let files = |ids: &BTreeSet<&str>| -> BTreeSet<String> { ids.iter().map(|id| file_stem(id)).collect() };
     let (old, ids) = (files(old), files(ids));
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
@@ -113,9 +95,7 @@ pub(crate) fn remove_charts(
             continue;
         }
         // The second chart of F11 is F11-2.
-        let first = name
-            .rsplit_once('-')
-            .filter(|(_, nth)| nth.parse::<usize>().is_ok());
+        let first = name.rsplit_once('-').filter(|(_, nth)| nth.parse::<usize>().is_ok());
         let case = match ids.contains(&*name) {
             true => &*name,
             false => first.map_or(&*name, |(case, _)| case),
@@ -212,10 +192,7 @@ fn draw(path: &Path, chart: &Chart) -> Result<(), Box<dyn Error>> {
         .build_cartesian_2d(range(0, 0.6), range(1, 0.05))?;
     let number = |x: &f64| match x.abs() {
         0.0 => "0".to_owned(),
-        1e-3..1e4 => format!("{x:.3}")
-            .trim_end_matches('0')
-            .trim_end_matches('.')
-            .to_owned(),
+        1e-3..1e4 => format!("{x:.3}").trim_end_matches('0').trim_end_matches('.').to_owned(),
         _ => format!("{x:.1e}"),
     };
     area.configure_mesh()

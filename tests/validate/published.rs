@@ -72,8 +72,7 @@ impl Published {
             let id = row.case.clone();
             published.rows.entry(id).or_default().push(row);
         }
-        let mut machine: Value =
-            serde_json::from_slice(&fs::read(folder().join("validation.json"))?)?;
+        let mut machine: Value = serde_json::from_slice(&fs::read(folder().join("validation.json"))?)?;
         published.parts = match machine.get_mut("parts") {
             Some(Value::Array(parts)) => std::mem::take(parts),
             _ => vec![part(&machine)],
@@ -103,10 +102,7 @@ impl Published {
         let mut rows: Vec<PublishedRow> = Vec::new();
         for case in all {
             let of_case = self.rows.remove(&case.id).unwrap_or_default();
-            rows.extend(of_case.into_iter().map(|row| PublishedRow {
-                topic: case.topic.to_owned(),
-                ..row
-            }));
+            rows.extend(of_case.into_iter().map(|row| PublishedRow { topic: case.topic.to_owned(), ..row }));
         }
         let plain: Vec<Row> = rows.iter().map(|row| row.plain(all)).collect();
         let worst = sheet::worst(&plain);
@@ -126,19 +122,12 @@ impl Published {
         let mut parts = std::mem::take(&mut self.parts);
         let mut table = serde_json::to_value(machine)?;
         parts.push(part(&table));
-        parts.retain(|part| {
-            part["measured"]
-                .as_str()
-                .is_some_and(|date| dates.contains(date))
-        });
+        parts.retain(|part| part["measured"].as_str().is_some_and(|date| dates.contains(date)));
         parts.sort_by_key(|part| part["measured"].to_string());
         parts.dedup_by_key(|part| part["measured"].to_string());
         table["parts"] = Value::Array(parts);
         table["rows"] = serde_json::to_value(&topics)?;
-        fs::write(
-            folder.join("validation.json"),
-            serde_json::to_vec_pretty(&table)?,
-        )?;
+        fs::write(folder.join("validation.json"), serde_json::to_vec_pretty(&table)?)?;
         Ok(())
     }
 }

@@ -32,9 +32,7 @@ impl ResultStore {
         let mut hasher = DefaultHasher::new();
         fs::read(std::env::current_exe()?)?.hash(&mut hasher);
         let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
-        let mut data: Vec<PathBuf> = fs::read_dir(data)?
-            .map(|entry| Ok(entry?.path()))
-            .collect::<io::Result<_>>()?;
+        let mut data: Vec<PathBuf> = fs::read_dir(data)?.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
         data.sort();
         for file in data.iter().filter(|path| path.is_file()) {
             (file, fs::read(file)?).hash(&mut hasher);

@@ -74,23 +74,13 @@ fn kills(sheet: &mut Sheet, backend: &str, scene: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("dam.toml"), scene).expect("a file");
     let arguments = format!("run dam.toml --backend {backend}");
-    let run = Run {
-        folder: folder.path(),
-        arguments: &arguments,
-    };
-    let Killed {
-        kills,
-        from_checkpoint,
-        runs,
-    } = run.killed(KILLS, &mut Random(0x6b69_6c6c));
+    let run = Run { folder: folder.path(), arguments: &arguments };
+    let Killed { kills, from_checkpoint, runs } = run.killed(KILLS, &mut Random(0x6b69_6c6c));
     let what = format!("{backend}: kills of which nothing is to be seen in the end");
     sheet.holds(&what, &KILLS.to_string(), kills.to_string(), kills == KILLS);
     let what = format!("{backend}: kills that left a checkpoint, runs that came to their end");
     sheet.info(&what, format!("{from_checkpoint}, {runs}"));
     let whole = Manifest::read(&folder.path().join("whole")).expect("the run nobody disturbed");
     let seconds = whole.progress.seconds;
-    sheet.info(
-        &format!("{backend}: seconds of a run that nobody disturbs"),
-        format!("{seconds:.1}"),
-    );
+    sheet.info(&format!("{backend}: seconds of a run that nobody disturbs"), format!("{seconds:.1}"));
 }

@@ -70,15 +70,7 @@ impl Row {
     }
 }
 
-pub(crate) const COLUMNS: [&str; 7] = [
-    "case",
-    "what",
-    "expected",
-    "got",
-    "tolerance",
-    "verdict",
-    "seconds",
-];
+pub(crate) const COLUMNS: [&str; 7] = ["case", "what", "expected", "got", "tolerance", "verdict", "seconds"];
 
 /// The rows of one case.
 #[derive(Debug, Default)]
@@ -88,14 +80,7 @@ pub(crate) struct Sheet {
 }
 
 impl Sheet {
-    fn row(
-        &mut self,
-        what: &str,
-        expected: String,
-        got: String,
-        tolerance: String,
-        passed: Option<bool>,
-    ) {
+    fn row(&mut self, what: &str, expected: String, got: String, tolerance: String, passed: Option<bool>) {
         self.rows.push(Row {
             topic: "",
             id: String::new(),
@@ -123,12 +108,7 @@ impl Sheet {
 
     /// Adds a chart of computed and expected values.
     pub(crate) fn chart(&mut self, title: &str, axes: [&str; 2], lines: Vec<Line>) {
-        self.charts.push(Chart {
-            id: String::new(),
-            title: title.to_owned(),
-            axes: axes.map(str::to_owned),
-            lines,
-        });
+        self.charts.push(Chart { id: String::new(), title: title.to_owned(), axes: axes.map(str::to_owned), lines });
     }
 
     /// |got - expected| <= tolerance |expected|.
@@ -188,12 +168,7 @@ impl Sheet {
     }
 
     /// Rows and charts of a case that took so many seconds.
-    pub(crate) fn finish(
-        mut self,
-        topic: &'static str,
-        id: &str,
-        seconds: f64,
-    ) -> (Vec<Row>, Vec<Chart>) {
+    pub(crate) fn finish(mut self, topic: &'static str, id: &str, seconds: f64) -> (Vec<Row>, Vec<Chart>) {
         if self.rows.is_empty() {
             self.failed("the case has no rows");
         }
@@ -241,11 +216,8 @@ pub(crate) fn lines(rows: &[Row]) -> String {
             true => String::new(),
             false => format!(", allowed {tolerance}"),
         };
-        writeln!(
-            text,
-            "{verdict} {id:<20} {what}: {got}{expected}{tolerance}  [{seconds} s]"
-        )
-        .expect("a String takes everything");
+        writeln!(text, "{verdict} {id:<20} {what}: {got}{expected}{tolerance}  [{seconds} s]")
+            .expect("a String takes everything");
     }
     text
 }
@@ -282,10 +254,7 @@ pub(crate) fn topics(rows: &[Row]) -> Vec<Topic> {
     let mut id = "";
     for row in rows {
         if topics.last().is_none_or(|topic| topic.topic != row.topic) {
-            topics.push(Topic {
-                topic: row.topic,
-                ..Topic::default()
-            });
+            topics.push(Topic { topic: row.topic, ..Topic::default() });
         }
         let topic = topics.last_mut().expect("one was pushed");
         if row.id != id {

@@ -15,15 +15,9 @@ pub(crate) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for lane in Lane::ALL {
         let name = lane.name();
-        cases.push(Case::new(format!("S13/fall/{name}"), move |sheet| {
-            free_fall(lane, sheet)
-        }));
-        cases.push(Case::new(format!("S13/free/{name}"), move |sheet| {
-            free_body(lane, sheet)
-        }));
-        cases.push(Case::new(format!("S13/spin/{name}"), move |sheet| {
-            spinning_block(lane, sheet)
-        }));
+        cases.push(Case::new(format!("S13/fall/{name}"), move |sheet| free_fall(lane, sheet)));
+        cases.push(Case::new(format!("S13/free/{name}"), move |sheet| free_body(lane, sheet)));
+        cases.push(Case::new(format!("S13/spin/{name}"), move |sheet| spinning_block(lane, sheet)));
     }
     cases
 }
@@ -50,11 +44,7 @@ fn free_fall(lane: Lane, sheet: &mut Sheet) {
             let off = (momentum / mass).distance(exact) / (1.0 + exact.length());
             worst = larger(worst, off);
         }
-        let name = if strained {
-            "spinning and swinging"
-        } else {
-            "quiet"
-        };
+        let name = if strained { "spinning and swinging" } else { "quiet" };
         let what = format!("{name} block: velocity of the centre of mass against g t, 60 steps");
         // The device has g, dt and the masses in f32.
         let rounding = lane.choose(0.0, f64::from(f32::EPSILON), 0.0);
@@ -105,11 +95,7 @@ fn free_body(lane: Lane, sheet: &mut Sheet) {
         for rate in dts {
             let kept = free_flight(lane, young, 1.0 / rate);
             let what = format!("block of E {young:.0e} Pa that spins and swings, dt 1/{rate} s");
-            sheet.at_most(
-                &format!("{what}: change of momentum in 0.25 s"),
-                kept.momentum,
-                bound(lane),
-            );
+            sheet.at_most(&format!("{what}: change of momentum in 0.25 s"), kept.momentum, bound(lane));
             sheet.info(
                 &format!("{what}: change of angular momentum; part of the energy left"),
                 format!("{:.1e}; {:.3}", kept.spin, kept.energy),
@@ -147,21 +133,12 @@ fn spinning_block(lane: Lane, sheet: &mut Sheet) {
         }
         let [_, after] = motion.momenta();
         let angle: f64 = 4.0 * time / steps;
-        let what =
-            format!("stiff block, {angle:.4} rad a step: change of angular momentum in 1 rad");
-        sheet.at_most(
-            &what,
-            after.distance(before) / before.length(),
-            angle * angle,
-        );
+        let what = format!("stiff block, {angle:.4} rad a step: change of angular momentum in 1 rad");
+        sheet.at_most(&what, after.distance(before) / before.length(), angle * angle);
         let most = energies.iter().copied().fold(0.0, larger);
         sheet.info(
             &format!("{angle:.4} rad a step: largest and last energy over the first"),
-            format!(
-                "{:.6}, {:.6}",
-                most / energies[0],
-                energies[energies.len() - 1] / energies[0]
-            ),
+            format!("{:.6}, {:.6}", most / energies[0], energies[energies.len() - 1] / energies[0]),
         );
     }
 }

@@ -10,11 +10,7 @@ use crate::solid_cases::{THROWS, hung_beam, inverted, thrown_about};
 pub(crate) fn cases() -> Vec<Case> {
     Lane::ALL
         .into_iter()
-        .map(|lane| {
-            Case::new(format!("inversion/{}", lane.name()), move |sheet| {
-                recovery(lane, sheet)
-            })
-        })
+        .map(|lane| Case::new(format!("inversion/{}", lane.name()), move |sheet| recovery(lane, sheet)))
         .collect()
 }
 
@@ -34,23 +30,10 @@ fn recovery(lane: Lane, sheet: &mut Sheet) {
         let u = motion.state().displacement;
         let after = inverted(&motion.solids, &u);
         let elements = 0..motion.solids.elements.len();
-        let determinants =
-            elements.map(|element| motion.solids.stress_and_determinant(element, &u)[1]);
-        sheet.holds(
-            &format!("{before} of 336 elements inverted: after 240 steps"),
-            "0",
-            after.to_string(),
-            after == 0,
-        );
+        let determinants = elements.map(|element| motion.solids.stress_and_determinant(element, &u)[1]);
+        sheet.holds(&format!("{before} of 336 elements inverted: after 240 steps"), "0", after.to_string(), after == 0);
         let worst = -determinants.fold(f64::NEG_INFINITY, |most, det| larger(most, -det));
-        sheet.at_least(
-            &format!("{before} inverted: least det F at the end"),
-            worst,
-            LEAST_DET,
-        );
-        sheet.info(
-            &format!("{before} inverted: largest displacement at the end, m"),
-            format!("{:.4}", largest(&u)),
-        );
+        sheet.at_least(&format!("{before} inverted: least det F at the end"), worst, LEAST_DET);
+        sheet.info(&format!("{before} inverted: largest displacement at the end, m"), format!("{:.4}", largest(&u)));
     }
 }

@@ -8,9 +8,7 @@ use cutwater::linalg::dot;
 use crate::Case;
 use crate::lane::{Lane, Motion};
 use crate::sheet::Sheet;
-use crate::solid_cases::{
-    backward_euler, bar_on_rollers, cantilever, cantilever_table, lame_cube, lame_shape,
-};
+use crate::solid_cases::{backward_euler, bar_on_rollers, cantilever, cantilever_table, lame_cube, lame_shape};
 use crate::solid_modes::{Dynamics, ringing, weights};
 use crate::solid_scene::{alone, scene_of};
 
@@ -24,20 +22,13 @@ pub(crate) fn cases() -> Vec<Case> {
         let name = lane.name();
         for refinements in [1, 3] {
             let layers = cantilever_table()[refinements].cells[1];
-            cases.push(Case::new(
-                format!("S3/{layers} layers/{name}"),
-                move |sheet| ringing_cantilever(lane, refinements, sheet),
-            ));
+            cases.push(Case::new(format!("S3/{layers} layers/{name}"), move |sheet| {
+                ringing_cantilever(lane, refinements, sheet)
+            }));
         }
-        cases.push(Case::new(format!("S9/{name}"), move |sheet| {
-            lame_modes(lane, sheet)
-        }));
-        cases.push(Case::new(format!("S10/{name}"), move |sheet| {
-            ringing_bar(lane, sheet)
-        }));
-        cases.push(Case::new(format!("S11/{name}"), move |sheet| {
-            damped_modes(lane, sheet)
-        }));
+        cases.push(Case::new(format!("S9/{name}"), move |sheet| lame_modes(lane, sheet)));
+        cases.push(Case::new(format!("S10/{name}"), move |sheet| ringing_bar(lane, sheet)));
+        cases.push(Case::new(format!("S11/{name}"), move |sheet| damped_modes(lane, sheet)));
     }
     cases
 }
@@ -47,11 +38,7 @@ fn modes_of_the_mesh(cells: [usize; 3], frequencies: [f64; 4], sheet: &mut Sheet
     let solids = alone(cantilever(cells));
     let modes = Dynamics::new(&solids).modes(5, 200);
     for (number, (table, (_, square))) in frequencies.iter().zip(&modes).enumerate() {
-        let what = format!(
-            "{} layers: frequency {}, Hz (scikit-fem)",
-            cells[1],
-            number + 1
-        );
+        let what = format!("{} layers: frequency {}, Hz (scikit-fem)", cells[1], number + 1);
         // The table has eight digits.
         sheet.relative(&what, *table, square.sqrt() / TAU, 1e-6);
     }
@@ -113,23 +100,14 @@ fn ringing_bar(lane: Lane, sheet: &mut Sheet) {
     let dt = 0.2 / exact;
     let mut motion = Motion::new(lane, &scene_of(vec![solid]), dt);
     let [_, angle] = ringing(&motion.ring(&modes[0].0, 1e-6, 20));
-    sheet.relative(
-        "first mode of a bar on rollers, 1/s",
-        exact,
-        angle.tan() / dt,
-        0.005,
-    );
+    sheet.relative("first mode of a bar on rollers, 1/s", exact, angle.tan() / dt, 0.005);
 }
 
 /// Amplitude and angle per step of modes of the cantilever, with and without Rayleigh damping.
 fn damped_modes(lane: Lane, sheet: &mut Sheet) {
-    for (damping, w_dt) in [
-        ([0.0, 0.0], 0.1),
-        ([0.0, 0.0], 1.0),
-        ([0.7, 0.0], 0.2),
-        ([0.0, 0.02], 0.2),
-        ([0.3, 0.02], 0.4),
-    ] {
+    for (damping, w_dt) in
+        [([0.0, 0.0], 0.1), ([0.0, 0.0], 1.0), ([0.7, 0.0], 0.2), ([0.0, 0.02], 0.2), ([0.3, 0.02], 0.4)]
+    {
         let mut solid = cantilever([10, 2, 2]);
         solid.loads.clear();
         [solid.mass_damping, solid.stiffness_damping] = damping;
@@ -142,18 +120,9 @@ fn damped_modes(lane: Lane, sheet: &mut Sheet) {
             let [decay, angle] = backward_euler(w, dt, damping);
             let mut motion = Motion::new(lane, &scene_of(vec![solid.clone()]), dt);
             let found = ringing(&motion.ring(shape, 1e-7, 12));
-            let what = format!(
-                "mode {}, w dt = {w_dt}, tau_M = {} 1/s, tau_K = {} s",
-                number + 1,
-                damping[0],
-                damping[1]
-            );
-            sheet.relative(
-                &format!("{what}: amplitude per step"),
-                decay,
-                found[0],
-                1e-3,
-            );
+            let what =
+                format!("mode {}, w dt = {w_dt}, tau_M = {} 1/s, tau_K = {} s", number + 1, damping[0], damping[1]);
+            sheet.relative(&format!("{what}: amplitude per step"), decay, found[0], 1e-3);
             sheet.relative(&format!("{what}: angle per step"), angle, found[1], 1e-3);
         }
     }

@@ -94,10 +94,9 @@ pub(crate) fn cases() -> Vec<Case> {
         for (number, levels) in combinations().into_iter().enumerate() {
             for (lane, most) in MOST_NODES {
                 let file = file.clone();
-                cases.push(Case::new(
-                    format!("scenes/{name}/{:02}/{}", number + 1, lane.name()),
-                    move |sheet| endures(lane, most, &file, levels, sheet),
-                ));
+                cases.push(Case::new(format!("scenes/{name}/{:02}/{}", number + 1, lane.name()), move |sheet| {
+                    endures(lane, most, &file, levels, sheet)
+                }));
             }
         }
     }
@@ -116,46 +115,21 @@ fn coarser(solid: &Solid, factor: f64, folder: &Path) -> Solid {
     let mut solid = solid.clone();
     let fewer = |cells: usize| ((cells as f64 / factor).round() as usize).max(1);
     solid.mesh = match solid.mesh {
-        SolidMesh::Box { size, cells } => SolidMesh::Box {
-            size,
-            cells: cells.map(fewer),
-        },
-        SolidMesh::Sphere { radius, cell_size } => SolidMesh::Sphere {
-            radius,
-            cell_size: factor * cell_size,
-        },
-        SolidMesh::Shell {
-            radius,
-            thickness,
-            cell_size,
-        } => SolidMesh::Shell {
-            radius,
-            thickness,
-            cell_size: factor * cell_size,
-        },
-        SolidMesh::Surface {
-            file,
-            unit,
-            cell_size,
-        } => SolidMesh::Surface {
-            file,
-            unit,
-            cell_size: factor * cell_size,
-        },
+        SolidMesh::Box { size, cells } => SolidMesh::Box { size, cells: cells.map(fewer) },
+        SolidMesh::Sphere { radius, cell_size } => SolidMesh::Sphere { radius, cell_size: factor * cell_size },
+        SolidMesh::Shell { radius, thickness, cell_size } => {
+            SolidMesh::Shell { radius, thickness, cell_size: factor * cell_size }
+        }
+        SolidMesh::Surface { file, unit, cell_size } => {
+            SolidMesh::Surface { file, unit, cell_size: factor * cell_size }
+        }
         SolidMesh::File { .. } => {
-            let at_home = Solid {
-                placement: Default::default(),
-                ..solid.clone()
-            };
+            let at_home = Solid { placement: Default::default(), ..solid.clone() };
             let mesh = TetMesh::new(&at_home, "file").unwrap();
             let cell_size = factor * (6.0 * mesh.volume() / mesh.elements.len() as f64).cbrt();
             let file = folder.join(format!("{}.obj", solid.name));
             write_surface(&file, &mesh);
-            SolidMesh::Surface {
-                file: file.into(),
-                unit: 1.0,
-                cell_size,
-            }
+            SolidMesh::Surface { file: file.into(), unit: 1.0, cell_size }
         }
     };
     solid
@@ -203,25 +177,12 @@ fn coarse(scene: &Scene, most: usize, folder: &Path) -> Scene {
 fn diagnosis(scene: &Scene, motion: &Motion) -> SolidDiagnosis {
     let (state, solids) = (motion.state(), &motion.solids);
     let u = &state.displacement;
-    let deformations: Vec<Deformation> = (0..solids.elements.len())
-        .map(|element| solids.deformation(element, u))
-        .collect();
-    diagnose_solid(
-        solids,
-        &deformations,
-        u,
-        &state.node_velocity,
-        scene.domain.gravity,
-    )
+    let deformations: Vec<Deformation> =
+        (0..solids.elements.len()).map(|element| solids.deformation(element, u)).collect();
+    diagnose_solid(solids, &deformations, u, &state.node_velocity, scene.domain.gravity)
 }
 
-fn endures(
-    lane: Lane,
-    most: usize,
-    file: &Path,
-    [young, density, step, damping]: [usize; 4],
-    sheet: &mut Sheet,
-) {
+fn endures(lane: Lane, most: usize, file: &Path, [young, density, step, damping]: [usize; 4], sheet: &mut Sheet) {
     let folder = tempfile::tempdir().unwrap();
     let mut scene = coarse(&Scene::load(file, &[], 1.0).unwrap(), most, folder.path());
     scene.probes.clear();
@@ -281,11 +242,7 @@ fn endures(
         ];
         finite &= values.iter().all(|x| x.is_finite());
         if number % LOOK == 0 {
-            let State {
-                displacement,
-                node_velocity,
-                ..
-            } = motion.state();
+            let State { displacement, node_velocity, .. } = motion.state();
             let numbers = displacement.iter().chain(&node_velocity).flatten();
             finite &= numbers.into_iter().all(|x| x.is_finite());
         }
@@ -295,10 +252,7 @@ fn endures(
         1.0 / dt
     );
     let steps: usize = statuses.values().sum();
-    let statuses: Vec<String> = statuses
-        .iter()
-        .map(|(name, count)| format!("{count} {name}"))
-        .collect();
+    let statuses: Vec<String> = statuses.iter().map(|(name, count)| format!("{count} {name}")).collect();
     sheet.holds(
         &format!("{what}; {n} nodes"),
         "1000 finite steps",
@@ -315,10 +269,9 @@ fn endures(
     let rounding = ROUNDING * fall * motion.solids.mass.iter().sum::<f64>();
     let in_play = inner + f64::max(start.potential_energy - least_height, rounding);
     let rise = most_energy - inner - start.potential_energy;
-    for (of, rise, most) in [
-        ("above that of the start", rise, most_rise),
-        ("in the second half", most_late - halfway, MOST_LATE_RISE),
-    ] {
+    for (of, rise, most) in
+        [("above that of the start", rise, most_rise), ("in the second half", most_late - halfway, MOST_LATE_RISE)]
+    {
         let what = format!("{what}: rise of the energy {of}, over what is in play");
         sheet.at_most(&what, rise / in_play, most);
     }

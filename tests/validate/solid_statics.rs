@@ -11,14 +11,10 @@ use crate::solid_scene::scene_of;
 pub(crate) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for lane in Lane::ALL {
-        cases.push(Case::new(format!("S2/{}", lane.name()), move |sheet| {
-            nodal_displacements(lane, sheet)
-        }));
+        cases.push(Case::new(format!("S2/{}", lane.name()), move |sheet| nodal_displacements(lane, sheet)));
     }
     for lane in Lane::PRECISE {
-        cases.push(Case::new(format!("S4/{}", lane.name()), move |sheet| {
-            convergence(lane, sheet)
-        }));
+        cases.push(Case::new(format!("S4/{}", lane.name()), move |sheet| convergence(lane, sheet)));
     }
     cases
 }
@@ -27,10 +23,7 @@ pub(crate) fn cases() -> Vec<Case> {
 const LONG: f64 = 50.0;
 
 fn nodal_displacements(lane: Lane, sheet: &mut Sheet) {
-    for (name, model) in [
-        ("linear", ElasticModel::Linear),
-        ("corotational", ElasticModel::Corotational),
-    ] {
+    for (name, model) in [("linear", ElasticModel::Linear), ("corotational", ElasticModel::Corotational)] {
         let mut solid = cantilever([10, 2, 2]);
         solid.model = model;
         let mut motion = Motion::new(lane, &scene_of(vec![solid]), LONG);
@@ -52,10 +45,7 @@ fn convergence(lane: Lane, sheet: &mut Sheet) {
         let found = tip(&motion.solids, &u);
         let what = format!("tip of the cantilever with {layers} layers, m (scikit-fem)");
         sheet.relative(&what, row.tip, found, 1e-4);
-        sheet.info(
-            &format!("{layers} layers, part of Timoshenko's deflection"),
-            format!("{:.4}", found / TIMOSHENKO),
-        );
+        sheet.info(&format!("{layers} layers, part of Timoshenko's deflection"), format!("{:.4}", found / TIMOSHENKO));
         excess.push(TIMOSHENKO / found - 1.0);
     }
     for (number, pair) in excess.windows(2).enumerate() {

@@ -27,9 +27,7 @@ fn film(text: &str, end: f64) -> Vec<(f64, Vec<f64>)> {
     let mut film = Vec::new();
     while simulation.clock().time < end {
         step(&mut simulation);
-        let probes = simulation
-            .probes()
-            .unwrap_or_else(|error| panic!("{error}"));
+        let probes = simulation.probes().unwrap_or_else(|error| panic!("{error}"));
         film.push((simulation.clock().time, probes));
     }
     film
@@ -207,10 +205,7 @@ const CONTRACTION: f64 = std::f64::consts::PI / (std::f64::consts::PI + 2.0);
 /// Slope of the line of least squares.
 fn slope(points: &[(f64, f64)]) -> f64 {
     let n = points.len() as f64;
-    let [x, y] = [
-        points.iter().map(|(x, _)| x).sum::<f64>() / n,
-        points.iter().map(|(_, y)| y).sum::<f64>() / n,
-    ];
+    let [x, y] = [points.iter().map(|(x, _)| x).sum::<f64>() / n, points.iter().map(|(_, y)| y).sum::<f64>() / n];
     let across = points.iter().map(|(a, b)| (a - x) * (b - y));
     across.sum::<f64>() / points.iter().map(|(a, _)| (a - x).powi(2)).sum::<f64>()
 }
@@ -219,11 +214,8 @@ fn slope(points: &[(f64, f64)]) -> f64 {
 fn slot(sheet: &mut Sheet) {
     // The quarter of a second in which the flow begins is left out.
     let film = film(&tank_with_slot(6, ["", ""]), 1.25);
-    let levels: Vec<(f64, f64)> = film
-        .iter()
-        .filter(|(t, _)| *t > 0.25)
-        .map(|(t, probes)| (*t, (probes[0] - SLOT_FLOOR).sqrt()))
-        .collect();
+    let levels: Vec<(f64, f64)> =
+        film.iter().filter(|(t, _)| *t > 0.25).map(|(t, probes)| (*t, (probes[0] - SLOT_FLOOR).sqrt())).collect();
     let theory = |c: f64| {
         let fallen = |at: f64| c * torricelli() * (at - levels[0].0);
         [0.25, 1.25].map(|at| [at, levels[0].1 - fallen(at)])
@@ -233,16 +225,8 @@ fn slot(sheet: &mut Sheet) {
         ["t, s", "root of the level above the floor, m^(1/2)"],
         vec![
             Line::new("slot 12 cells wide", Mark::Line, points(&levels)),
-            Line::new(
-                "Torricelli, contracted",
-                Mark::Theory,
-                theory(CONTRACTION).into(),
-            ),
-            Line::new(
-                "Torricelli, not contracted",
-                Mark::Theory,
-                theory(1.0).into(),
-            ),
+            Line::new("Torricelli, contracted", Mark::Theory, theory(CONTRACTION).into()),
+            Line::new("Torricelli, not contracted", Mark::Theory, theory(1.0).into()),
         ],
     );
     let what = "tank that runs dry through a slot in its floor: flow over that of Torricelli";
@@ -266,7 +250,8 @@ fn slot_with_separation(sheet: &mut Sheet) {
             roots.push((t, (left / depth).sqrt()));
         }
     }
-    let what = "the same with liquid.separation = \"walls\", by volume, 24 cells to the slot: flow over that of Torricelli";
+    let what =
+        "the same with liquid.separation = \"walls\", by volume, 24 cells to the slot: flow over that of Torricelli";
     sheet.relative(what, CONTRACTION, -slope(&roots) / torricelli(), 0.05);
 }
 
@@ -293,22 +278,14 @@ fn ritter(sheet: &mut Sheet) {
     let film = film(&text, time * (1.0 - 1e-9));
     let (_, heights) = film.last().expect("there are sub-steps");
     let exact = |xi: f64| (2.0 - xi).powi(2) / 9.0;
-    let own: Vec<[f64; 2]> = xi
-        .iter()
-        .zip(heights)
-        .map(|(xi, h)| [*xi, h / depth])
-        .collect();
+    let own: Vec<[f64; 2]> = xi.iter().zip(heights).map(|(xi, h)| [*xi, h / depth]).collect();
     let theory = (0..=60).map(|n| -1.0 + 0.05 * f64::from(n));
     sheet.chart(
         "flood on a dry bed at t sqrt(g/H) = 6",
         ["x / (c t)", "h / H"],
         vec![
             Line::new("20 cells deep", Mark::Points, own.clone()),
-            Line::new(
-                "Ritter 1892",
-                Mark::Theory,
-                theory.map(|xi| [xi, exact(xi)]).collect(),
-            ),
+            Line::new("Ritter 1892", Mark::Theory, theory.map(|xi| [xi, exact(xi)]).collect()),
         ],
     );
     let off = own.iter().map(|[xi, h]| (h - exact(*xi)).abs());
@@ -344,19 +321,13 @@ fn solitary_wave(sheet: &mut Sheet) {
     }
     let gauges = [10.0, 13.0, 16.0];
     for (number, at) in gauges.iter().enumerate() {
-        text += &format!(
-            "[[probe]]\nname = \"g{number}\"\nheight = {{ x = {}, z = {dx} }}\n",
-            at * h
-        );
+        text += &format!("[[probe]]\nname = \"g{number}\"\nheight = {{ x = {}, z = {dx} }}\n", at * h);
     }
     let wall = (f64::from(cells) - 0.5) * dx;
     text += &format!("[[probe]]\nname = \"wall\"\nheight = {{ x = {wall}, z = {dx} }}\n");
     let film = film(&text, 22.0 * h / c);
-    let gauge = |number: usize| -> Vec<(f64, f64)> {
-        film.iter()
-            .map(|(t, probes)| (*t, probes[number] / h - 1.0))
-            .collect()
-    };
+    let gauge =
+        |number: usize| -> Vec<(f64, f64)> { film.iter().map(|(t, probes)| (*t, probes[number] / h - 1.0)).collect() };
     // The time of a crest: the middle of the times at half of its height.
     let crest = |series: &[(f64, f64)]| {
         let most = series.iter().fold(0.0, |most, (_, eta)| larger(most, *eta));
@@ -386,9 +357,7 @@ fn solitary_wave(sheet: &mut Sheet) {
     sheet.at_most(what, (crests[2].1 / crests[0].1 - 1.0).abs(), 0.05);
     // Su and Mirie 1980.
     let climb = 2.0 * eps + 0.5 * eps * eps + 0.75 * eps.powi(3);
-    let got = gauge(3)
-        .iter()
-        .fold(0.0, |most, (_, eta)| larger(most, *eta));
+    let got = gauge(3).iter().fold(0.0, |most, (_, eta)| larger(most, *eta));
     let what = "solitary wave: how high it climbs the wall, over the depth";
     // The probe is in the middle of a cell of 1/20 of the depth: half of one over a climb of 11.
     sheet.relative(what, climb, got, 0.05);
@@ -411,10 +380,7 @@ fn impact(sheet: &mut Sheet) {
     let scaled = (GRAVITY / height).sqrt();
     let film = film(&text, 6.0 / scaled);
     let of_weight = 1000.0 * GRAVITY * height;
-    let pressure: Vec<(f64, f64)> = film
-        .iter()
-        .map(|(t, probes)| (t * scaled, probes[0] / of_weight))
-        .collect();
+    let pressure: Vec<(f64, f64)> = film.iter().map(|(t, probes)| (t * scaled, probes[0] / of_weight)).collect();
     let measured = table("tests/data/lobovsky2014_wall_pressure.csv");
     sheet.chart(
         "column hits a wall: pressure near the floor",

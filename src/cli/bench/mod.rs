@@ -7,9 +7,7 @@ use std::path::PathBuf;
 
 use crate::Error;
 use crate::gpu::Gpu;
-use crate::measure::bench::{
-    Event, Listener, Results, Settings, accuracy, device, effects, stability, thesis,
-};
+use crate::measure::bench::{Event, Listener, Results, Settings, accuracy, device, effects, stability, thesis};
 use crate::scene::{Formulation, Precision, Preconditioner, Scene};
 use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, Subcommand};
@@ -77,10 +75,7 @@ impl Output {
         options: &O,
         measure: impl FnOnce(&O, &Settings, Listener) -> Result<Results, Error>,
     ) -> Result<(), Error> {
-        let out = self
-            .out
-            .clone()
-            .unwrap_or_else(|| format!("out/bench_{name}").into());
+        let out = self.out.clone().unwrap_or_else(|| format!("out/bench_{name}").into());
         let settings = Settings {
             out: out.clone(),
             repeats: repeats.map_or(1, |repeats| repeats.repeats),
@@ -100,18 +95,10 @@ impl Output {
         let derived = results.tables.iter().filter(|table| table.key.is_empty());
         for table in derived.filter(|table| !table.rows.is_empty()) {
             say!("{}.csv\n{}", table.name, table.heading());
-            table
-                .rows
-                .iter()
-                .for_each(|row| say!("{}", table.line(row)));
+            table.rows.iter().for_each(|row| say!("{}", table.line(row)));
         }
-        if let (Some(adapter), Some(copy)) =
-            (&results.machine.adapter, results.machine.copy_bandwidth)
-        {
-            say!(
-                "adapter: {adapter}, copy bandwidth {:.1} GB/s",
-                1e-9 * copy.median
-            );
+        if let (Some(adapter), Some(copy)) = (&results.machine.adapter, results.machine.copy_bandwidth) {
+            say!("adapter: {adapter}, copy bandwidth {:.1} GB/s", 1e-9 * copy.median);
         }
         say!("results: {}", out.display());
         results.verdict()
@@ -122,10 +109,9 @@ impl Bench {
     pub(super) fn run(&self) -> Result<(), Error> {
         let (done, smaller) = match &self.name {
             Name::Solve(solve) => (solve.run(), "smaller grids (--grids)"),
-            Name::Accuracy(accuracy) => (
-                accuracy.run(),
-                "fewer cells (--scale, --grids) or coarser meshes of the solids",
-            ),
+            Name::Accuracy(accuracy) => {
+                (accuracy.run(), "fewer cells (--scale, --grids) or coarser meshes of the solids")
+            }
             Name::Effects(effects) => (effects.run(), SMALLER_SCENE),
             Name::Step(step) => (step.run(), SMALLER_SCENE),
             // The one that has --backend.
@@ -143,9 +129,7 @@ fn at_least_once() -> RangedU64ValueParser<usize> {
 }
 
 /// Parser of a name.
-fn named<T: Copy + Send + Sync + 'static>(
-    names: &'static [(&'static str, T)],
-) -> impl TypedValueParser<Value = T> {
+fn named<T: Copy + Send + Sync + 'static>(names: &'static [(&'static str, T)]) -> impl TypedValueParser<Value = T> {
     let parser = PossibleValuesParser::new(names.iter().map(|(name, _)| *name));
     parser.map(move |text| {
         let known = names.iter().find(|(name, _)| *name == text);
@@ -172,10 +156,7 @@ impl<T: std::str::FromStr> std::str::FromStr for OrMax<T> {
     fn from_str(text: &str) -> Result<OrMax<T>, Self::Err> {
         match text {
             "max" => Ok(OrMax::Max),
-            _ => text
-                .parse()
-                .map(OrMax::Number)
-                .map_err(|_| "give numbers, or max"),
+            _ => text.parse().map(OrMax::Number).map_err(|_| "give numbers, or max"),
         }
     }
 }
@@ -192,10 +173,7 @@ fn check_tolerance(tolerance: f64) -> Result<(), Error> {
 }
 
 fn load(files: &[PathBuf], overrides: &[String], scale: f64) -> Result<Vec<Scene>, Error> {
-    files
-        .iter()
-        .map(|file| Scene::load(file, overrides, scale))
-        .collect()
+    files.iter().map(|file| Scene::load(file, overrides, scale)).collect()
 }
 
 #[derive(Debug, Args)]
@@ -287,12 +265,7 @@ struct Accuracy {
     #[command(flatten)]
     overrides: Overrides,
     /// Frames whose states are solved from
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "N,N,..",
-        default_value = "10"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..", default_value = "10")]
     frames: Vec<u64>,
     /// Also solve known problems with so many cells along 1 m, multiples of 10
     #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
@@ -304,12 +277,7 @@ struct Accuracy {
     #[arg(long, value_parser = named(PRECONDITIONERS), value_delimiter = ',', value_name = "P,..", default_value = "multigrid")]
     preconditioner: Vec<Preconditioner>,
     /// Relative tolerances of the true residuals
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "X,X,..",
-        default_value = "1e-2,1e-4,1e-6,1e-8,1e-10,1e-12"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "X,X,..", default_value = "1e-2,1e-4,1e-6,1e-8,1e-10,1e-12")]
     tolerance: Vec<f64>,
     /// PCG iterations in all refinement steps
     #[arg(long, default_value_t = 5000)]
@@ -324,10 +292,7 @@ struct Accuracy {
 
 impl Accuracy {
     fn run(&self) -> Result<(), Error> {
-        self.tolerance
-            .iter()
-            .copied()
-            .try_for_each(check_tolerance)?;
+        self.tolerance.iter().copied().try_for_each(check_tolerance)?;
         let options = accuracy::Options {
             scenes: load(&self.scenes, &self.overrides.all(), self.scale)?,
             frames: self.frames.clone(),
@@ -363,12 +328,7 @@ struct Thesis {
     #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     steps: usize,
     /// Frames of the dam break, 24 a second, whose states are solved from in tables 6.2 to 6.4
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "N,N,..",
-        default_value = "10,40,80"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..", default_value = "10,40,80")]
     frames: Vec<u64>,
     /// Precisions of the device, beside the f64 path
     #[arg(long, value_parser = named(Precision::NAMES), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]

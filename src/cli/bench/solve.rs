@@ -13,23 +13,13 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Solve {
     /// Cells along an edge of the block; max: the largest multiple of 10 with room on the adapter and this machine
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "N,N,..",
-        default_value = "20,40,60,80"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..", default_value = "20,40,60,80")]
     grids: Vec<OrMax<usize>>,
     /// Bricks across the beam, for beams of their own sizes instead of the one that belongs to the grid
     #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     bricks: Vec<usize>,
     /// Relative tolerances of the true residual
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "T,..",
-        default_value = "1e-8"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "T,..", default_value = "1e-8")]
     tolerance: Vec<f64>,
     /// Precisions to measure
     #[arg(long, value_parser = named(Precision::NAMES), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
@@ -68,39 +58,19 @@ impl Solve {
         let outside = |grid: &&OrMax<usize>| matches!(grid, OrMax::Number(n) if !(2..=solve::LARGEST_GRID).contains(n));
         if let Some(OrMax::Number(n)) = self.grids.iter().find(outside) {
             let problem = "too few or too many cells along an edge";
-            return Err(Error::input(
-                format!("--grids {n}"),
-                problem,
-                "give grids of 2 to 1024 cells, or max",
-            ));
+            return Err(Error::input(format!("--grids {n}"), problem, "give grids of 2 to 1024 cells, or max"));
         }
         if let Some(bricks) = self.bricks.iter().find(|n| !(1..=32).contains(*n)) {
             let problem = "too few or too many bricks across the beam";
-            return Err(Error::input(
-                format!("--bricks {bricks}"),
-                problem,
-                "give 1 to 32",
-            ));
+            return Err(Error::input(format!("--bricks {bricks}"), problem, "give 1 to 32"));
         }
         if self.largest_factor.is_nan() || self.largest_factor <= 0.0 {
             let what = format!("--largest-factor {}", self.largest_factor);
-            return Err(Error::input(
-                what,
-                "not a size",
-                "give a number of GiB above 0",
-            ));
+            return Err(Error::input(what, "not a size", "give a number of GiB above 0"));
         }
-        self.tolerance
-            .iter()
-            .copied()
-            .try_for_each(check_tolerance)?;
+        self.tolerance.iter().copied().try_for_each(check_tolerance)?;
         let blocks = self.preconditioner.contains(&Preconditioner::BlockJacobi);
-        if blocks
-            && self
-                .formulation
-                .iter()
-                .any(|form| *form != Formulation::TwoField)
-        {
+        if blocks && self.formulation.iter().any(|form| *form != Formulation::TwoField) {
             return Err(Error::input(
                 "--preconditioner block-jacobi",
                 "only the two-field form has blocks of nodes",

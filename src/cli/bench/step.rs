@@ -18,20 +18,10 @@ pub(super) struct Step {
     scenes: Vec<PathBuf>,
     /// Multiply domain.cells, rounded; several, to see how seconds grow with the cells; max: the largest factor with room on the adapter and
     /// this machine
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "S,S,..",
-        default_value = "1"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "S,S,..", default_value = "1")]
     scale: Vec<OrMax<f64>>,
     /// Refine the meshes of the solids by so much, each on every grid: bricks of boxes are multiplied, lengths of edges divided; files stay
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "S,S,..",
-        default_value = "1"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "S,S,..", default_value = "1")]
     solids_scale: Vec<f64>,
     #[command(flatten)]
     overrides: Overrides,
@@ -54,13 +44,10 @@ impl Step {
         for path in &self.scenes {
             for &scale in &self.scale {
                 for &solids_scale in &self.solids_scale {
-                    let load =
-                        |scale: f64| Case::new(Scene::load(path, &overrides, scale)?, solids_scale);
+                    let load = |scale: f64| Case::new(Scene::load(path, &overrides, scale)?, solids_scale);
                     let scale = match scale {
                         OrMax::Number(scale) => scale,
-                        OrMax::Max => {
-                            step::largest_scale(&load, &Gpu::find(&self.adapter.choice())?)?
-                        }
+                        OrMax::Max => step::largest_scale(&load, &Gpu::find(&self.adapter.choice())?)?,
                     };
                     cases.push(load(scale)?);
                 }
@@ -70,11 +57,7 @@ impl Step {
     }
 
     pub(super) fn run(&self) -> Result<(), Error> {
-        let options = step::Options {
-            scenes: self.cases()?,
-            frames: self.frames,
-            adapter: self.adapter.choice(),
-        };
+        let options = step::Options { scenes: self.cases()?, frames: self.frames, adapter: self.adapter.choice() };
         let (repeats, measure) = (Some(&self.repeats), step::measure);
         self.output.run("step", repeats, &options, measure)
     }

@@ -33,10 +33,8 @@ const MOST_ITERATIONS: u32 = 20_000;
 /// Largest residual of an exact solution that did not converge. Forces of stiff solids cancel, so rounding in f64 can exceed [`EXACT`].
 const ROUNDED: f64 = 1e-10;
 /// Target errors with a recommendation, on states and on grids.
-const TARGETS: [&[f64]; 2] = [
-    &[1e-2, 1e-4, 1e-6, 1e-8, 1e-10],
-    &[1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8],
-];
+const TARGETS: [&[f64]; 2] =
+    [&[1e-2, 1e-4, 1e-6, 1e-8, 1e-10], &[1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8]];
 /// Largest ratio of an error to that of the grid alone at which the solve does not matter.
 const GRID_ERROR: f64 = 1.1;
 /// Ratio to the fastest median within which rows count as equally fast.
@@ -118,53 +116,20 @@ columns! {
 }
 
 fn bench() -> Bench {
-    let state = &[
-        "scene",
-        "frame",
-        "precision",
-        "preconditioner",
-        "formulation",
-        "tolerance",
-    ];
+    let state = &["scene", "frame", "precision", "preconditioner", "formulation", "tolerance"];
     let problem = &["problem", "grid", "precision", "tolerance"];
     Bench {
         name: "accuracy",
         tables: vec![
-            Table::new(
-                "accuracy",
-                &[
-                    STATE, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS,
-                ],
-                state,
-            ),
-            Table::new(
-                "accuracy_best",
-                &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS],
-                &[],
-            ),
+            Table::new("accuracy", &[STATE, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS], state),
+            Table::new("accuracy_best", &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS], &[]),
             Table::new(
                 "accuracy_grids",
-                &[
-                    PROBLEM,
-                    GRID_SIZES,
-                    PRECISION,
-                    TOLERANCE,
-                    STATUS,
-                    TIME,
-                    GRID_ERRORS,
-                ],
+                &[PROBLEM, GRID_SIZES, PRECISION, TOLERANCE, STATUS, TIME, GRID_ERRORS],
                 problem,
             ),
-            Table::new(
-                "accuracy_grids_best",
-                &[PROBLEM, TARGET, PRECISION, TOLERANCE, TIME, GRID_ERRORS],
-                &[],
-            ),
-            Table::new(
-                "accuracy_grids_enough",
-                &[PROBLEM, PRECISION, TOLERANCE, TIME, GRID_ERRORS],
-                &[],
-            ),
+            Table::new("accuracy_grids_best", &[PROBLEM, TARGET, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
+            Table::new("accuracy_grids_enough", &[PROBLEM, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
         ],
         derive,
         pictures: &[("accuracy", draw_states), ("accuracy_grids", draw_grids)],
@@ -173,9 +138,7 @@ fn bench() -> Bench {
 
 impl Options {
     fn check(&self) -> Result<(), Error> {
-        let weak = |scene: &&Scene| {
-            Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong
-        };
+        let weak = |scene: &&Scene| Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong;
         if let Some(scene) = self.scenes.iter().find(weak) {
             return Err(Error::input(
                 scene.file.display().to_string(),
@@ -205,11 +168,7 @@ impl Options {
 /// # Errors
 /// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit; [`Error::Output`]; [`Error::Stage`]
 /// without an exact solution; errors of the simulations.
-pub fn measure(
-    options: &Options,
-    settings: &Settings,
-    listener: Listener,
-) -> Result<Results, Error> {
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
     let solvers = (
@@ -224,20 +183,16 @@ pub fn measure(
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
-            cases.push(Case::new(
-                "accuracy",
-                row! { scene: scene.name.as_str(), frame: frame },
-                move |run| states::measure(run, scene, frame, options),
-            ));
+            cases.push(Case::new("accuracy", row! { scene: scene.name.as_str(), frame: frame }, move |run| {
+                states::measure(run, scene, frame, options)
+            }));
         }
     }
     for &(_, problem) in Exact::NAMES {
         for &grid in &options.grids {
-            cases.push(Case::new(
-                "accuracy_grids",
-                row! { problem: problem.name(), grid: grid },
-                move |run| grids::measure(run, problem, grid, options),
-            ));
+            cases.push(Case::new("accuracy_grids", row! { problem: problem.name(), grid: grid }, move |run| {
+                grids::measure(run, problem, grid, options)
+            }));
         }
     }
     run.cases(cases)?;
@@ -245,11 +200,7 @@ pub fn measure(
 }
 
 /// Refuses an exact solution that did not converge. `step`: number of sub-steps before it.
-pub fn ensure_truth(
-    what: &str,
-    step: u64,
-    solves: impl IntoIterator<Item = SolveReport>,
-) -> Result<(), Error> {
+pub fn ensure_truth(what: &str, step: u64, solves: impl IntoIterator<Item = SolveReport>) -> Result<(), Error> {
     let failed = |solve: &SolveReport| {
         let passed = [SolveStatus::Converged, SolveStatus::Incompatible].contains(&solve.status);
         // A residual of NaN fails.
@@ -296,11 +247,7 @@ pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
 
 /// Cheapest row for each of the descending targets that any row meets. The row of the next lower target is preferred if it needs no more time, cells and
 /// bytes per number: less accuracy should never take longer.
-pub fn recommended<'r>(
-    rows: &[&'r Row],
-    targets: &[f64],
-    error: impl Fn(&Row) -> f64,
-) -> Vec<(f64, &'r Row)> {
+pub fn recommended<'r>(rows: &[&'r Row], targets: &[f64], error: impl Fn(&Row) -> f64) -> Vec<(f64, &'r Row)> {
     let mut found: Vec<(f64, &Row)> = Vec::new();
     for &target in targets.iter().rev() {
         let meeting = rows.iter().copied().filter(|row| error(row) <= target);
@@ -324,9 +271,7 @@ pub fn recommended<'r>(
 /// The larger of both errors; NaN if one is.
 fn error(row: &Row) -> f64 {
     let others = ["error_v", "error_u"].into_iter();
-    let others = others
-        .filter(|name| row.has(name))
-        .map(|name| row.number(name));
+    let others = others.filter(|name| row.has(name)).map(|name| row.number(name));
     others.fold(row.number("error_p"), larger)
 }
 
@@ -334,31 +279,18 @@ fn error(row: &Row) -> f64 {
 pub fn derive(tables: &mut [Table]) {
     let grids = "accuracy_grids";
     for (table, best, key, targets) in [
-        (
-            "accuracy",
-            "accuracy_best",
-            &["scene", "frame"][..],
-            TARGETS[0],
-        ),
+        ("accuracy", "accuracy_best", &["scene", "frame"][..], TARGETS[0]),
         (grids, "accuracy_grids_best", &["problem"], TARGETS[1]),
     ] {
         let solved = rows(tables, table).iter();
         let solved = solved.filter(|row| is_solved(row.text("status")));
         let groups = grouped(solved, |row| Some(row.only(key)));
-        let found = groups
-            .iter()
-            .flat_map(|(_, rows)| recommended(rows, targets, error));
+        let found = groups.iter().flat_map(|(_, rows)| recommended(rows, targets, error));
         let found = found.map(|(target, row)| row.clone().with(row! { target: target }));
         let found = found.collect();
         replace(tables, best, found);
     }
-    let key = [
-        "problem",
-        "grid",
-        "precision",
-        "grid_error_p",
-        "grid_error_u",
-    ];
+    let key = ["problem", "grid", "precision", "grid_error_p", "grid_error_u"];
     let groups = grouped(rows(tables, grids), |row| Some(row.only(&key)));
     let enough = groups.into_iter().map(|(grid, rows)| {
         let within = |row: &&&Row| {
@@ -378,12 +310,7 @@ pub fn derive(tables: &mut [Table]) {
 }
 
 /// Charts of errors against seconds, one per error column and its axis.
-fn charts(
-    rows: &[&Row],
-    title: &str,
-    errors: &[(&str, &'static str)],
-    name: impl Fn(&Row) -> String,
-) -> Vec<Chart> {
+fn charts(rows: &[&Row], title: &str, errors: &[(&str, &'static str)], name: impl Fn(&Row) -> String) -> Vec<Chart> {
     let chart = |&(column, axis): &(&str, &'static str)| Chart {
         title: title.to_owned(),
         axes: ["seconds of the solve", axis],
@@ -403,21 +330,16 @@ fn draw_states(results: &Results) -> Page {
     let name = |row: &Row| row.join(&["precision", "preconditioner", "formulation"]);
     let state = |row: &Row| (row.text("scene").to_owned(), row.count("frame"));
     let groups = grouped(results.rows("accuracy"), |row| Some(state(row)));
-    let drawn = groups.iter().flat_map(|((scene, frame), rows)| {
-        charts(rows, &format!("{scene}, frame {frame}"), &errors, name)
-    });
+    let drawn = groups
+        .iter()
+        .flat_map(|((scene, frame), rows)| charts(rows, &format!("{scene}, frame {frame}"), &errors, name));
     Page::Charts(2, drawn.collect())
 }
 
 fn draw_grids(results: &Results) -> Page {
-    let errors = [
-        ("error_p", "error of p over the largest p"),
-        ("error_u", "speed over g dt"),
-    ];
+    let errors = [("error_p", "error of p over the largest p"), ("error_u", "speed over g dt")];
     let name = |row: &Row| format!("{} cells/m, {}", row.count("grid"), row.text("precision"));
-    let problems = grouped(results.rows("accuracy_grids"), |row| {
-        Some(row.text("problem"))
-    });
+    let problems = grouped(results.rows("accuracy_grids"), |row| Some(row.text("problem")));
     let drawn = problems.iter();
     let drawn = drawn.flat_map(|(problem, rows)| charts(rows, problem, &errors, name));
     Page::Charts(2, drawn.collect())

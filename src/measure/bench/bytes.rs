@@ -149,11 +149,7 @@ impl SolveBytes {
     /// sweeps and one after the prolongation (x, r, x_out each), restriction (x, r), prolongation (x twice) on the finest level, and a seventh of it on
     /// the coarser ones; or the diagonal of all quads (itself, r, z).
     pub(super) fn pressure(&self) -> f64 {
-        let SolveBytes {
-            not_uniform,
-            widths: [inner, outer],
-            ..
-        } = *self;
+        let SolveBytes { not_uniform, widths: [inner, outer], .. } = *self;
         let matrix = 5.0 * inner * not_uniform;
         let preconditioner = match self.preconditioner {
             Preconditioner::Multigrid => {
@@ -163,21 +159,15 @@ impl SolveBytes {
             }
             Preconditioner::Jacobi | Preconditioner::BlockJacobi => 3.0 * inner + 1.0,
         };
-        let rest = (3.0 * inner + matrix + 1.0)
-            + (7.0 * inner + not_uniform * inner + 1.0)
-            + (3.0 * inner + 1.0);
-        let turn =
-            (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
-        self.unknowns
-            * (self.iterations * (preconditioner + rest) + (self.refinements + 1.0) * turn)
+        let rest = (3.0 * inner + matrix + 1.0) + (7.0 * inner + not_uniform * inner + 1.0) + (3.0 * inner + 1.0);
+        let turn = (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
+        self.unknowns * (self.iterations * (preconditioner + rest) + (self.refinements + 1.0) * turn)
     }
 
     /// A coupled solve without its set-up. The outer loop is that of the solids alone; its other parts are small, as are the pairs of cells and nodes.
     pub(super) fn coupled(&self, solids: &SolidBytes, corrections: Corrections) -> f64 {
         let iteration = match corrections {
-            Corrections::TwoField { degree } => {
-                solids.two_field(self.preconditioner, degree as f64)
-            }
+            Corrections::TwoField { degree } => solids.two_field(self.preconditioner, degree as f64),
             // The wet compliance in f32, three components per node; vectors of the nodes are small beside it.
             Corrections::Condensed { wet_nodes } => 4.0 * (3.0 * wet_nodes as f64).powi(2),
         };

@@ -57,10 +57,7 @@ pub(crate) fn lines<'r>(
     let shown = |ends: &[Spread; 2]| ends.iter().all(|end| end.min > 0.0 && end.max.is_finite());
     let groups = grouped(rows, |row| point(row).filter(shown).map(|_| name(row)));
     let points = |rows: Vec<&Row>| rows.into_iter().filter_map(&point).collect();
-    groups
-        .into_iter()
-        .map(|(name, rows)| (name, points(rows)))
-        .collect()
+    groups.into_iter().map(|(name, rows)| (name, points(rows))).collect()
 }
 
 /// Point of a row: two columns.
@@ -83,11 +80,7 @@ impl Page {
                 }
                 let across = charts.len().min(*across);
                 let down = charts.len().div_ceil(across);
-                let width = if across == 1 {
-                    900
-                } else {
-                    580 * across as u32
-                };
+                let width = if across == 1 { 900 } else { 580 * across as u32 };
                 write_svg(path, (width, 480 * down as u32), |root| {
                     let areas = root.split_evenly((down, across));
                     let mut charts = areas.iter().zip(charts);
@@ -123,8 +116,7 @@ fn log_range(values: impl Iterator<Item = f64> + Clone) -> Range<f64> {
 impl Chart {
     fn draw(&self, area: &Area) -> Result<(), Failure> {
         let points = || self.lines.iter().flat_map(|(_, points)| points);
-        let [x, y] = [0, 1]
-            .map(|axis| log_range(points().flat_map(|point| [point[axis].min, point[axis].max])));
+        let [x, y] = [0, 1].map(|axis| log_range(points().flat_map(|point| [point[axis].min, point[axis].max])));
         // Room for the key beside the lines.
         let x = x.start * (x.start / x.end).powf(0.7)..x.end;
         let mut chart = ChartBuilder::on(area)
@@ -152,10 +144,7 @@ impl Chart {
                 .label(name)
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
             for [x, y] in points {
-                let bars = [
-                    [(x.min, y.median), (x.max, y.median)],
-                    [(x.median, y.min), (x.median, y.max)],
-                ];
+                let bars = [[(x.min, y.median), (x.max, y.median)], [(x.median, y.min), (x.median, y.max)]];
                 chart.draw_series(bars.map(|ends| PathElement::new(ends, colour)))?;
             }
         }
@@ -169,20 +158,14 @@ impl Chart {
 
 /// Two corners of the bar at a place.
 fn side([from, to]: [f64; 2], at: usize) -> [(f64, SegmentValue<usize>); 2] {
-    [
-        (from, SegmentValue::Exact(at)),
-        (to, SegmentValue::Exact(at + 1)),
-    ]
+    [(from, SegmentValue::Exact(at)), (to, SegmentValue::Exact(at + 1))]
 }
 
 /// Draws the key.
 fn key<'a, CT: CoordTranslate>(
     labels: &mut plotters::chart::SeriesLabelStyle<'a, '_, SVGBackend<'a>, CT>,
 ) -> Result<(), Failure> {
-    labels
-        .border_style(BLACK)
-        .background_style(WHITE.mix(0.8))
-        .draw()?;
+    labels.border_style(BLACK).background_style(WHITE.mix(0.8)).draw()?;
     Ok(())
 }
 
@@ -202,12 +185,8 @@ impl Bars {
 
     fn draw(&self, area: &Area) -> Result<(), Failure> {
         let parts = self.bars.iter().flat_map(|(_, parts, _)| parts);
-        let ends = parts
-            .flat_map(|part| [part.1, part.2])
-            .chain(self.bars.iter().map(|bar| bar.2));
-        let (least, most) = ends.fold((0.0, 1e-9), |(least, most), x| {
-            (f64::min(least, x), f64::max(most, x))
-        });
+        let ends = parts.flat_map(|part| [part.1, part.2]).chain(self.bars.iter().map(|bar| bar.2));
+        let (least, most) = ends.fold((0.0, 1e-9), |(least, most), x| (f64::min(least, x), f64::max(most, x)));
         // Room for the key on the right.
         let right = most + (most - least) * if self.key { 0.35 } else { 0.05 };
         let n = self.bars.len();
@@ -218,21 +197,12 @@ impl Bars {
             .margin_right(40)
             .x_label_area_size(44)
             .y_label_area_size(300)
-            .build_cartesian_2d(
-                least - 0.02 * (most - least)..right,
-                (0..n).into_segmented(),
-            )?;
+            .build_cartesian_2d(least - 0.02 * (most - least)..right, (0..n).into_segmented())?;
         let label = |at: &SegmentValue<usize>| match at {
             SegmentValue::CenterOf(at) if *at < n => self.bars[*at].0.clone(),
             _ => String::new(),
         };
-        chart
-            .configure_mesh()
-            .disable_y_mesh()
-            .x_desc(self.axis)
-            .y_labels(n)
-            .y_label_formatter(&label)
-            .draw()?;
+        chart.configure_mesh().disable_y_mesh().x_desc(self.axis).y_labels(n).y_label_formatter(&label).draw()?;
         for (index, name) in self.parts().into_iter().enumerate() {
             let colour = match name {
                 "" => BLACK.mix(0.25),
@@ -249,19 +219,15 @@ impl Bars {
             });
             let bars = chart.draw_series(bars.collect::<Vec<_>>())?;
             if self.key {
-                bars.label(name).legend(move |(x, y)| {
-                    Rectangle::new([(x, y - 5), (x + 14, y + 5)], colour.filled())
-                });
+                bars.label(name).legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 14, y + 5)], colour.filled()));
             }
         }
         let marks = self.bars.iter().enumerate();
-        chart.draw_series(marks.map(|(at, (_, _, mark))| {
-            PathElement::new(side([*mark; 2], at), BLACK.stroke_width(2))
-        }))?;
+        chart.draw_series(
+            marks.map(|(at, (_, _, mark))| PathElement::new(side([*mark; 2], at), BLACK.stroke_width(2))),
+        )?;
         match self.key {
-            true => key(chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)),
+            true => key(chart.configure_series_labels().position(SeriesLabelPosition::UpperRight)),
             false => Ok(()),
         }
     }

@@ -83,19 +83,12 @@ pub(super) fn copying(gpu: &Gpu, n: usize) -> Result<(Bound, Buffer<f32>), Error
     let source: Buffer<f32> = gpu.buffer("bench.source", n)?;
     let target: Buffer<f32> = gpu.buffer("bench.target", n)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("copy"), Real::F32)?;
-    let buffers = [
-        ("source", (&source).into()),
-        ("target_out", (&target).into()),
-    ];
+    let buffers = [("source", (&source).into()), ("target_out", (&target).into())];
     Ok((kernel.bind(gpu, &buffers, &[])?, target))
 }
 
 /// Seconds of `n` dispatches in one submission, to the end of their work.
-pub(super) fn dispatches(
-    gpu: &Gpu,
-    n: usize,
-    mut record: impl FnMut(&mut crate::gpu::Pass),
-) -> Result<f64, Error> {
+pub(super) fn dispatches(gpu: &Gpu, n: usize, mut record: impl FnMut(&mut crate::gpu::Pass)) -> Result<f64, Error> {
     gpu.wait("bench device")?;
     let clock = Instant::now();
     let mut recorder = Recorder::new(gpu);
@@ -132,12 +125,7 @@ struct Tiny<'a> {
 impl<'a> Tiny<'a> {
     fn new(gpu: &'a Gpu) -> Result<Tiny<'a>, Error> {
         let (copy, target) = copying(gpu, 256)?;
-        Ok(Tiny {
-            gpu,
-            copy,
-            args: gpu.buffer_with("bench.args", &[1, 1, 1, 64])?,
-            target,
-        })
+        Ok(Tiny { gpu, copy, args: gpu.buffer_with("bench.args", &[1, 1, 1, 64])?, target })
     }
 
     /// Measures a quantity other than the copy bandwidth; `None` if the adapter lacks it.
@@ -190,11 +178,7 @@ impl<'a> Tiny<'a> {
     }
 
     /// Seconds of one more item: [`MANY`] more over their number, without the fixed cost of a submission and a wait.
-    fn per_item(
-        &self,
-        repeats: usize,
-        run: impl Fn(&Tiny, usize) -> Result<f64, Error>,
-    ) -> Result<Spread, Error> {
+    fn per_item(&self, repeats: usize, run: impl Fn(&Tiny, usize) -> Result<f64, Error>) -> Result<Spread, Error> {
         repeat(repeats, || {
             let [few, many] = [run(self, MANY)?, run(self, 2 * MANY)?];
             Ok(((many - few) / MANY as f64).max(0.0))

@@ -77,11 +77,7 @@ columns! {
 ///
 /// # Errors
 /// [`Error::Output`], before any work if the folder cannot be written; errors of the simulations.
-pub fn measure(
-    options: &Options,
-    settings: &Settings,
-    listener: Listener,
-) -> Result<Results, Error> {
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let bench = Bench {
         name: "effects",
         tables: vec![
@@ -97,11 +93,9 @@ pub fn measure(
     let mut run = Run::start(bench, machine, &request, settings, listener)?;
     let scratch = Scratch::new(&settings.out)?;
     let cases = options.scenes.iter().map(|scene| {
-        Case::new(
-            "effects",
-            row! { scene: scene.name.as_str(), effect: ITSELF },
-            |_| scene_rows(scene, options, &scratch),
-        )
+        Case::new("effects", row! { scene: scene.name.as_str(), effect: ITSELF }, |_| {
+            scene_rows(scene, options, &scratch)
+        })
     });
     run.cases(cases.collect())?;
     let rows = run.results.rows("effects").iter();
@@ -112,28 +106,17 @@ pub fn measure(
 
 /// Whether absent effects have a cost, by a row of the control; for seconds with an error probability of `FALSE_ALARM`.
 pub fn costs(row: &Row) -> bool {
-    let counts = [
-        "bytes_added",
-        "dispatches_added",
-        "solve_dispatches_added",
-        "dispatches_differ",
-    ];
+    let counts = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
     let same = counts.iter().all(|name| row.number(name) == 0.0);
     let [pairs, slower] = ["pairs", "slower"].map(|name| row.count(name));
-    let slower = row.text("seconds_told") == pairs::ADDS
-        && pairs::at_most(pairs - slower, pairs) <= FALSE_ALARM;
+    let slower = row.text("seconds_told") == pairs::ADDS && pairs::at_most(pairs - slower, pairs) <= FALSE_ALARM;
     !(same && row.text("kernels").is_empty()) || slower
 }
 
 fn failure(row: &Row) -> String {
-    let [bytes, dispatches, solve, differ, n] = [
-        "bytes_added",
-        "dispatches_added",
-        "solve_dispatches_added",
-        "dispatches_differ",
-        "pairs",
-    ]
-    .map(|name| row.number(name));
+    let [bytes, dispatches, solve, differ, n] =
+        ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ", "pairs"]
+            .map(|name| row.number(name));
     format!(
         "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {n} pairs), \
          kernels: {}; seconds {:.2e}, more in {} pairs",
@@ -155,11 +138,7 @@ struct Timed {
 impl Timed {
     fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
         let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
-        let mut timed = Timed {
-            scene,
-            simulation,
-            at_start: 0,
-        };
+        let mut timed = Timed { scene, simulation, at_start: 0 };
         timed.at_start = timed.gpu().allocated().len();
         Ok(timed)
     }
@@ -194,11 +173,7 @@ impl Timed {
         let dispatches = self.gpu().take_trace().dispatches;
         let of_solve = dispatches.iter().filter(|(stage, _)| *stage == "solve");
         let solve_dispatches = of_solve.count();
-        Ok(Cost {
-            seconds,
-            dispatches: dispatches.len() - solve_dispatches,
-            solve_dispatches,
-        })
+        Ok(Cost { seconds, dispatches: dispatches.len() - solve_dispatches, solve_dispatches })
     }
 }
 
@@ -247,9 +222,7 @@ fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Row
     for (sample, state) in states.iter().enumerate() {
         random.shuffle(&mut parts);
         for part in &mut parts {
-            let without = (sample % 2 == 1)
-                .then(|| part.timed.time(state))
-                .transpose()?;
+            let without = (sample % 2 == 1).then(|| part.timed.time(state)).transpose()?;
             let with = whole.time(state)?;
             let without = without.map_or_else(|| part.timed.time(state), Ok)?;
             if sample > 0 {
@@ -288,10 +261,7 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
         }
     }
     let kinds = probe_kinds(scene);
-    for (name, is) in PROBES
-        .iter()
-        .filter(|(name, _)| kinds.len() > 1 && kinds.contains(name))
-    {
+    for (name, is) in PROBES.iter().filter(|(name, _)| kinds.len() > 1 && kinds.contains(name)) {
         let mut without = scene.clone();
         without.probes.retain(|probe| !is(&probe.kind));
         scenes.push((name, without));
@@ -299,11 +269,7 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
     scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
     let parts = scenes.into_iter().map(|(name, scene)| {
         let timed = Timed::new(scene, &options.adapter)?;
-        Ok(Part {
-            name,
-            timed,
-            pairs: Vec::new(),
-        })
+        Ok(Part { name, timed, pairs: Vec::new() })
     });
     parts.collect()
 }
@@ -314,35 +280,27 @@ fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
     let control = part(ABSENT).expect("there is a control");
     let noise = part(ITSELF).and_then(|part| pairs::noise(&part.pairs));
     let kinds = probe_kinds(scene);
-    let names = EFFECTS
-        .iter()
-        .map(|effect| (effect.name, (effect.present)(&effects)));
+    let names = EFFECTS.iter().map(|effect| (effect.name, (effect.present)(&effects)));
     let names = names.chain([(COUPLING, effects.coupling)]);
     let names = names.chain(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
-    let rows = names
-        .chain([(ABSENT, false), (ITSELF, true)])
-        .map(|(effect, present)| {
-            let row = row! { scene: scene.name.as_str(), effect: effect, present: present };
-            let compared = |pairs: &[Pair], without: &[&Part]| {
-                row.clone().with(compared(pairs, noise, whole, without))
-            };
-            if !present {
-                return compared(&control.pairs, &[control]);
-            }
-            if let (COUPLING, Some(liquid), Some(solids)) = (effect, part("solids"), part("liquid"))
-            {
-                let pairs = liquid.pairs.iter().zip(&solids.pairs);
-                let pairs: Vec<Pair> = pairs.map(|(a, b)| pairs::against_both(*a, *b)).collect();
-                return compared(&pairs, &[liquid, solids]);
-            }
-            let only = (kinds == [effect]).then(|| part("probes")).flatten();
-            match part(effect).or(only) {
-                Some(part) => compared(&part.pairs, &[part]),
-                // No scene is left without it.
-                None => row
-                    .with(row! { seconds_with: pairs::median(&control.pairs, 0), pairs: 0_usize }),
-            }
-        });
+    let rows = names.chain([(ABSENT, false), (ITSELF, true)]).map(|(effect, present)| {
+        let row = row! { scene: scene.name.as_str(), effect: effect, present: present };
+        let compared = |pairs: &[Pair], without: &[&Part]| row.clone().with(compared(pairs, noise, whole, without));
+        if !present {
+            return compared(&control.pairs, &[control]);
+        }
+        if let (COUPLING, Some(liquid), Some(solids)) = (effect, part("solids"), part("liquid")) {
+            let pairs = liquid.pairs.iter().zip(&solids.pairs);
+            let pairs: Vec<Pair> = pairs.map(|(a, b)| pairs::against_both(*a, *b)).collect();
+            return compared(&pairs, &[liquid, solids]);
+        }
+        let only = (kinds == [effect]).then(|| part("probes")).flatten();
+        match part(effect).or(only) {
+            Some(part) => compared(&part.pairs, &[part]),
+            // No scene is left without it.
+            None => row.with(row! { seconds_with: pairs::median(&control.pairs, 0), pairs: 0_usize }),
+        }
+    });
     rows.collect()
 }
 
@@ -369,18 +327,12 @@ fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]
 /// A bar from the first to the third quartile of the added seconds, a mark at the median; grey where the seconds are noise.
 fn draw(results: &Results) -> Page {
     let rows = results.rows("effects").iter();
-    let rows = rows.filter(|row| {
-        (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added")
-    });
+    let rows = rows.filter(|row| (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added"));
     let bars = rows.map(|row| {
-        let [low, median, high] = ["seconds_added_low", "seconds_added", "seconds_added_high"]
-            .map(|name| 1e3 * row.number(name));
+        let [low, median, high] =
+            ["seconds_added_low", "seconds_added", "seconds_added_high"].map(|name| 1e3 * row.number(name));
         let verdict = row.text("seconds_told");
-        let part = if verdict == pairs::NOTHING {
-            ""
-        } else {
-            verdict
-        };
+        let part = if verdict == pairs::NOTHING { "" } else { verdict };
         let name = format!("{}: {}", row.text("scene"), row.text("effect"));
         (name, vec![(part.to_owned(), low, high)], median)
     });

@@ -27,21 +27,13 @@ pub struct Ended {
 
 impl From<&Outcome> for Ended {
     fn from(outcome: &Outcome) -> Ended {
-        Ended {
-            status: outcome.status,
-            iterations: outcome.iterations,
-            residuals: [outcome.residual, 0.0],
-        }
+        Ended { status: outcome.status, iterations: outcome.iterations, residuals: [outcome.residual, 0.0] }
     }
 }
 
 impl From<&CoupledOutcome> for Ended {
     fn from(outcome: &CoupledOutcome) -> Ended {
-        Ended {
-            status: outcome.status,
-            iterations: outcome.iterations,
-            residuals: outcome.residuals,
-        }
+        Ended { status: outcome.status, iterations: outcome.iterations, residuals: outcome.residuals }
     }
 }
 
@@ -66,11 +58,7 @@ impl Ended {
     /// [`Error::Check`].
     pub fn ensure_repeated(self, again: Ended, what: &str) -> Result<(), Error> {
         let bits = |residual: f64| {
-            if residual.is_nan() {
-                0
-            } else {
-                residual.to_bits()
-            }
+            if residual.is_nan() { 0 } else { residual.to_bits() }
         };
         let key = |ended: Ended| (ended.status, ended.iterations, ended.residuals.map(bits));
         if key(self) == key(again) {
@@ -93,10 +81,6 @@ impl Ended {
 impl fmt::Display for Ended {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ([first, second], status) = (self.residuals, self.status.name());
-        write!(
-            f,
-            "{status} after {} iterations with residuals {first:e} and {second:e}",
-            self.iterations
-        )
+        write!(f, "{status} after {} iterations with residuals {first:e} and {second:e}", self.iterations)
     }
 }

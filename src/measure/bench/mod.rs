@@ -139,10 +139,7 @@ fn replace(tables: &mut [Table], name: &str, rows: Vec<Row>) {
 /// Tables by the end of their name; the first has the key `rows`.
 fn by_key<S: Serializer>(tables: &[Table], to: S) -> Result<S::Ok, S::Error> {
     to.collect_map(tables.iter().enumerate().map(|(at, table)| {
-        let key = table
-            .name
-            .split_once('_')
-            .map_or(table.name, |(_, key)| key);
+        let key = table.name.split_once('_').map_or(table.name, |(_, key)| key);
         (if at == 0 { "rows" } else { key }, table)
     }))
 }
@@ -167,11 +164,7 @@ impl<'c> Case<'c> {
         key: Row,
         measure: impl FnMut(&mut Run) -> Result<Rows, Error> + 'c,
     ) -> Case<'c> {
-        Case {
-            table,
-            key,
-            measure: Box::new(measure),
-        }
+        Case { table, key, measure: Box::new(measure) }
     }
 }
 
@@ -198,10 +191,7 @@ impl<'a> Run<'a> {
         settings: &Settings,
         listener: Listener<'a>,
     ) -> Result<Run<'a>, Error> {
-        let request = format!(
-            "{request:?}, {} repeats, {} s",
-            settings.repeats, settings.seconds
-        );
+        let request = format!("{request:?}, {} repeats, {} s", settings.repeats, settings.seconds);
         let mut run = Run {
             _lock: FolderLock::take(&settings.out)?,
             settings: settings.clone(),
@@ -234,18 +224,12 @@ impl<'a> Run<'a> {
             return Ok(());
         };
         let refused = |problem: String| Error::input(path.display().to_string(), problem, ANEW);
-        let then: Json = serde_json::from_str(&text)
-            .map_err(|problem| refused(format!("cannot be read: {problem}")))?;
-        let now =
-            serde_json::to_value(&self.results).map_err(|problem| Error::output(&path, problem))?;
-        for key in [
-            "cutwater", "sources", "adapter", "driver", "cpu", "threads", "request",
-        ] {
+        let then: Json =
+            serde_json::from_str(&text).map_err(|problem| refused(format!("cannot be read: {problem}")))?;
+        let now = serde_json::to_value(&self.results).map_err(|problem| Error::output(&path, problem))?;
+        for key in ["cutwater", "sources", "adapter", "driver", "cpu", "threads", "request"] {
             if then[key] != now[key] {
-                return Err(refused(format!(
-                    "it has {key} {}, this run {}",
-                    then[key], now[key]
-                )));
+                return Err(refused(format!("it has {key} {}, this run {}", then[key], now[key])));
             }
         }
         self.results.parts = then["parts"].as_array().cloned().unwrap_or_default();
@@ -356,17 +340,11 @@ pub(crate) fn rounds<T>(
         random.shuffle(&mut order);
         for (done, &number) in order.iter().enumerate() {
             let total = |timed: &Timed<T>| timed.seconds.iter().flatten().sum::<f64>();
-            if timed[number]
-                .as_ref()
-                .is_some_and(|timed| total(timed) >= most)
-            {
+            if timed[number].as_ref().is_some_and(|timed| total(timed) >= most) {
                 continue;
             }
             let (seconds, outcome) = job(number)?;
-            let timed = timed[number].get_or_insert_with(|| Timed {
-                seconds: Vec::new(),
-                outcome,
-            });
+            let timed = timed[number].get_or_insert_with(|| Timed { seconds: Vec::new(), outcome });
             timed.seconds.resize(round, None);
             timed.seconds.push(Some(seconds));
             run.progress(what, round * jobs + done + 1, repeats * jobs, clock);
@@ -377,9 +355,7 @@ pub(crate) fn rounds<T>(
 
 /// Exponents of the growth of `seconds` along a size, for rows of one series.
 fn growth(members: &[&Row], size: &str) -> Option<Row> {
-    let points = members
-        .iter()
-        .map(|row| Some((row.number(size), row.spread("seconds")?)));
+    let points = members.iter().map(|row| Some((row.number(size), row.spread("seconds")?)));
     let exponents = statistics::Exponents::of(&points.collect::<Option<Vec<_>>>()?)?;
     let sizes = members.iter().map(|row| row.count(size));
     // Rows of one run have no spread.
@@ -418,9 +394,7 @@ table::columns! {
 /// Removes a file if it exists.
 pub(crate) fn remove(path: &Path) -> Result<(), Error> {
     match fs::remove_file(path) {
-        Err(problem) if problem.kind() != ErrorKind::NotFound => {
-            Err(Error::unwritten(path, &problem))
-        }
+        Err(problem) if problem.kind() != ErrorKind::NotFound => Err(Error::unwritten(path, &problem)),
         _ => Ok(()),
     }
 }

@@ -151,24 +151,15 @@ fn outputs<'a>(
     folder: &Path,
 ) -> Result<Vec<Output<'a>>, Error> {
     let kinds = FrameKinds::of(scene);
-    let writer = |name: &str, kinds| {
-        FrameWriter::create(&folder.join(name), &scene.name, scene.grid(), kinds)
-    };
+    let writer = |name: &str, kinds| FrameWriter::create(&folder.join(name), &scene.name, scene.grid(), kinds);
     let mut outputs = vec![("read_back", true, Product::ReadBack)];
     for (name, present, kinds) in frame_kinds(scene, &kinds) {
         outputs.push((name, present, Product::Frames(writer(name, kinds)?)));
     }
     if kinds.moving_obstacles {
         let name = "moving_obstacles";
-        let alone = FrameKinds {
-            moving_obstacles: true,
-            ..FrameKinds::default()
-        };
-        outputs.push((
-            name,
-            true,
-            Product::Obstacles(writer(name, alone)?, surfaces),
-        ));
+        let alone = FrameKinds { moving_obstacles: true, ..FrameKinds::default() };
+        outputs.push((name, true, Product::Obstacles(writer(name, alone)?, surfaces)));
     }
     let options = RunOptions {
         backend: "gpu".to_owned(),
@@ -231,18 +222,11 @@ fn write_all(
 }
 
 /// Makes one product of the current state of the simulation.
-fn make(
-    product: &mut Product,
-    simulation: &Simulation,
-    state: &State,
-    run: &Path,
-) -> Result<(), Error> {
+fn make(product: &mut Product, simulation: &Simulation, state: &State, run: &Path) -> Result<(), Error> {
     match product {
         Product::ReadBack => simulation.state().map(drop),
         Product::Frames(writer) => writer.write(state, simulation.cut_cells(), simulation.solids()),
-        Product::Obstacles(writer, surfaces) => {
-            writer.write_moved_obstacles(state, &surfaces.at(state.time))
-        }
+        Product::Obstacles(writer, surfaces) => writer.write_moved_obstacles(state, &surfaces.at(state.time)),
         Product::Checkpoint(manifest) => Checkpoint {
             state: state.clone(),
             carried: simulation.carried()?,

@@ -15,8 +15,7 @@ use super::ended::Ended;
 use super::statistics::{Spread, exponent, grouped};
 use super::table::{Row, Table, columns, row};
 use super::{
-    Bench, Case, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, Timed, growth,
-    replace, rounds, rows,
+    Bench, Case, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, Timed, growth, replace, rounds, rows,
 };
 use crate::Error;
 use crate::elastic::Solids;
@@ -124,15 +123,7 @@ columns! {
 }
 
 fn bench() -> Bench {
-    let against = &[
-        "grid",
-        "bricks",
-        "formulation",
-        "preconditioner",
-        "precision",
-        "tolerance",
-        "rival",
-    ];
+    let against = &["grid", "bricks", "formulation", "preconditioner", "precision", "tolerance", "rival"];
     // Several reference solvers have the key of one solve.
     let key = &against[..against.len() - 1];
     Bench {
@@ -152,23 +143,12 @@ fn bench() -> Bench {
 /// # Errors
 /// Before any work [`Error::Limit`] and [`Error::Memory`] for a grid that is too large; [`Error::Output`]; [`Error::Check`] if a solve is not
 /// reproducible.
-pub fn measure(
-    gpu: &Gpu,
-    options: &Options,
-    settings: &Settings,
-    listener: Listener,
-) -> Result<Results, Error> {
+pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let capacity = Capacity::new(gpu.report());
-    options
-        .grids
-        .iter()
-        .try_for_each(|&grid| capacity.check(grid, &options.solvers))?;
+    options.grids.iter().try_for_each(|&grid| capacity.check(grid, &options.solvers))?;
     let machine = Machine::new(gpu, settings.repeats)?;
-    let request = (
-        &options.against,
-        options.largest_factor,
-        options.solvers.first().map(|solver| solver.max_iterations),
-    );
+    let request =
+        (&options.against, options.largest_factor, options.solvers.first().map(|solver| solver.max_iterations));
     let mut run = Run::start(bench(), machine, &request, settings, listener)?;
     let mut cases = Vec::new();
     for &grid in &options.grids {
@@ -261,15 +241,9 @@ impl DeviceSystem for Block {
     fn solve(&self, gpu: &Gpu) -> Result<Solved, Error> {
         let mut recorder = Recorder::new(gpu);
         let within = self.everywhere.within();
-        recorder.stage(Stage::ActiveCells.name(), |pass| {
-            self.system.record(pass, &self.buffers, within)
-        });
+        recorder.stage(Stage::ActiveCells.name(), |pass| self.system.record(pass, &self.buffers, within));
         let (outcome, _) = self.solver.solve(gpu, recorder, &self.buffers)?;
-        Ok(Solved {
-            ended: Ended::from(&outcome),
-            refinements: outcome.refinements,
-            condensed: false,
-        })
+        Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: false })
     }
 
     fn buffers(&self) -> &SolverBuffers {
@@ -299,11 +273,7 @@ impl DeviceSystem for Coupled<'_> {
 
     fn solve(&self, _: &Gpu) -> Result<Solved, Error> {
         let outcome = self.device.solve()?;
-        Ok(Solved {
-            ended: Ended::from(&outcome),
-            refinements: outcome.refinements,
-            condensed: outcome.condensed,
-        })
+        Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: outcome.condensed })
     }
 
     fn buffers(&self) -> &SolverBuffers {
@@ -321,9 +291,7 @@ impl DeviceSystem for Coupled<'_> {
                 let wet_nodes = nodes.collect::<BTreeSet<usize>>().len();
                 Corrections::Condensed { wet_nodes }
             }
-            false => Corrections::TwoField {
-                degree: self.device.polynomial.degree as usize,
-            },
+            false => Corrections::TwoField { degree: self.device.polynomial.degree as usize },
         };
         let [inner, outer] = pressure.widths.map(|bytes| bytes as usize);
         let solids = SolidBytes::new(self.solids, [outer, inner]);
@@ -344,12 +312,7 @@ struct Reference<'a> {
 }
 
 impl<'a> Reference<'a> {
-    fn new(
-        solver: ReferenceSolver,
-        system: Assembled<'a>,
-        settings: &Solver,
-        largest: f64,
-    ) -> Result<Self, Error> {
+    fn new(solver: ReferenceSolver, system: Assembled<'a>, settings: &Solver, largest: f64) -> Result<Self, Error> {
         let mut reference = Reference {
             solver,
             system,
@@ -430,12 +393,7 @@ fn system(
         },
         ..*solver
     };
-    let measurement = Measurement {
-        gpu,
-        key,
-        solver,
-        options,
-    };
+    let measurement = Measurement { gpu, key, solver, options };
     let (grid, allocated) = (key.count("grid"), device_bytes(gpu));
     if formulation == Formulation::Pressure {
         let block = BaseBlock::new(grid);
@@ -447,17 +405,10 @@ fn system(
         0 => bricks_across(grid),
         bricks => bricks,
     };
-    let beam = BaseBeam {
-        bricks: [across, across, 7 * across],
-        ..BaseBeam::default()
-    };
+    let beam = BaseBeam { bricks: [across, across, 7 * across], ..BaseBeam::default() };
     let scene = BaseScene::new(grid, &beam)?;
     let (system, solids) = (&scene.coupled_system(), &scene.solids);
-    let device = Coupled {
-        device: DeviceScene::new(gpu, &scene, system, solver)?,
-        system,
-        solids,
-    };
+    let device = Coupled { device: DeviceScene::new(gpu, &scene, system, solver)?, system, solids };
     measurement.rows(run, Assembled::Both(system, solids), &device, allocated)
 }
 
@@ -470,12 +421,7 @@ impl<'a> Measurement<'a> {
         device: &dyn DeviceSystem,
         allocated: u64,
     ) -> Result<Rows, Error> {
-        let Measurement {
-            gpu,
-            key,
-            solver,
-            options,
-        } = *self;
+        let Measurement { gpu, key, solver, options } = *self;
         let references = options.against.iter();
         let references = references
             .map(|&other| Reference::new(other, system, solver, options.largest_factor))
@@ -493,9 +439,7 @@ impl<'a> Measurement<'a> {
             gpu.wait("bench")?;
             let (before, clock) = (gpu.traffic(), Instant::now());
             if let Some(reference) = job.checked_sub(1).map(|job| solving[job]) {
-                let reports = reference
-                    .system
-                    .solve(reference.solver, &reference.settings)?;
+                let reports = reference.system.solve(reference.solver, &reference.settings)?;
                 let ended = reports.map(|reports| Ended::new(&reports));
                 return Ok((clock.elapsed().as_secs_f64(), (ended, Traffic::default())));
             }
@@ -511,14 +455,8 @@ impl<'a> Measurement<'a> {
         let own = row! {
             status: status, idle_seconds: Spread::of(idle).median, device_bytes: device_bytes(gpu) - allocated,
         };
-        let (machine, own) = (
-            &run.results.machine,
-            key.clone().with(sizes.clone()).with(own),
-        );
-        let mut rows = vec![(
-            "solve",
-            own.with(self.device_row(machine, system, device, &solved, &timed[0])?),
-        )];
+        let (machine, own) = (&run.results.machine, key.clone().with(sizes.clone()).with(own));
+        let mut rows = vec![("solve", own.with(self.device_row(machine, system, device, &solved, &timed[0])?))];
         let mut others = timed[1..].iter();
         for reference in &references {
             let own = reference.note.is_empty().then(|| others.next()).flatten();
@@ -538,11 +476,7 @@ impl<'a> Measurement<'a> {
         timed: &Outcome,
     ) -> Result<Row, Error> {
         let (buffers, unknowns) = (device.buffers(), system.n_pressures() as f64);
-        let Ended {
-            iterations,
-            residuals,
-            ..
-        } = solved.ended;
+        let Ended { iterations, residuals, .. } = solved.ended;
         let pressure = SolveBytes {
             unknowns,
             not_uniform: not_uniform(self.gpu, buffers)?,
@@ -578,15 +512,7 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
 
 /// Growth of each solver along cells, nodes or both.
 pub fn derive(tables: &mut [Table]) {
-    let sizes = [
-        "grid",
-        "bricks",
-        "active_cells",
-        "solid_nodes",
-        "formulation",
-        "seconds",
-        "iterations",
-    ];
+    let sizes = ["grid", "bricks", "active_cells", "solid_nodes", "formulation", "seconds", "iterations"];
     let sample = |row: &Row, solver: &str, precision: &str, runs: &str| {
         let columns = row! { solver: row.get(solver), precision: precision, runs: row.get(runs) };
         row.only(&sizes).with(columns)
@@ -610,11 +536,7 @@ pub fn derive(tables: &mut [Table]) {
         closest == Some(off(row))
     };
     let mut all = Vec::new();
-    for (along, size) in [
-        ("both", "active_cells"),
-        ("cells", "active_cells"),
-        ("nodes", "solid_nodes"),
-    ] {
+    for (along, size) in [("both", "active_cells"), ("cells", "active_cells"), ("nodes", "solid_nodes")] {
         let groups = grouped(&samples, |row| {
             let (solids, own) = (row.count("solid_nodes") > 0, row.has("bricks"));
             let (belongs, fixed) = match along {
@@ -625,9 +547,7 @@ pub fn derive(tables: &mut [Table]) {
             belongs.then(|| (series(row).with(row! { along: along, fixed: fixed }), own))
         });
         for ((series, _), members) in groups {
-            let points = members
-                .iter()
-                .map(|row| (row.number(size), row.number("iterations")));
+            let points = members.iter().map(|row| (row.number(size), row.number("iterations")));
             let iterations = row! { iterations: exponent(points) };
             all.extend(growth(&members, size).map(|fit| fit.with(series).with(iterations)));
         }
@@ -642,13 +562,7 @@ fn draw(results: &Results) -> Page {
         false => String::new(),
     };
     let device = |row: &Row| row.join(&["formulation", "preconditioner", "precision"]) + &beam(row);
-    let other = |row: &Row| {
-        format!(
-            "{} on the CPU{}",
-            row.join(&["formulation", "rival"]),
-            beam(row)
-        )
-    };
+    let other = |row: &Row| format!("{} on the CPU{}", row.join(&["formulation", "rival"]), beam(row));
     let point = ["active_cells", "seconds"];
     let mut all = lines(results.rows("solve"), device, at(point));
     all.extend(lines(results.rows("solve_against"), other, at(point)));

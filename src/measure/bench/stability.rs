@@ -78,12 +78,8 @@ impl Options {
             return Ok(());
         };
         // Distance to the whole name and to its words.
-        let distance = |name: &&str| {
-            name.split('_')
-                .chain([*name])
-                .map(|word| strsim::damerau_levenshtein(part, word))
-                .min()
-        };
+        let distance =
+            |name: &&str| name.split('_').chain([*name]).map(|word| strsim::damerau_levenshtein(part, word)).min();
         let mut near: Vec<&str> = names.iter().map(String::as_str).collect();
         near.sort_by_key(distance);
         near.truncate(5);
@@ -92,11 +88,7 @@ impl Options {
         Err(Error::input(
             format!("--cases {}", self.cases.join(",")),
             format!("no case has `{part}` in its name"),
-            format!(
-                "use parts of names; near are {}; names begin with {}",
-                near.join(", "),
-                groups.join(", ")
-            ),
+            format!("use parts of names; near are {}; names begin with {}", near.join(", "), groups.join(", ")),
         ))
     }
 }
@@ -147,11 +139,7 @@ columns! {
 ///
 /// # Errors
 /// [`Error::Input`] for a part that no name contains; [`Error::Adapter`]; [`Error::Output`].
-pub fn measure(
-    options: &Options,
-    settings: &Settings,
-    listener: Listener,
-) -> Result<Results, Error> {
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let mut cases = cases(options.steps, options.scale)?;
     let limits = limits();
     let names = limits.iter().map(Limit::name);
@@ -232,11 +220,7 @@ fn failures(results: &Results, cases: &[Case]) -> Vec<String> {
 
 /// Runs cases and passes on their rows as they are measured. The f64 path leaves most of a sub-step to one processor, so one case runs there for
 /// each of rayon's threads.
-fn run_all(
-    cases: &[Case],
-    backend: &Backend,
-    mut take: impl FnMut(Row) -> Result<(), Error>,
-) -> Result<(), Error> {
+fn run_all(cases: &[Case], backend: &Backend, mut take: impl FnMut(Row) -> Result<(), Error>) -> Result<(), Error> {
     let at_a_time = match backend {
         Backend::Gpu(_) => 1,
         Backend::Cpu => rayon::current_num_threads().min(cases.len()),
@@ -299,9 +283,7 @@ pub fn growth(energies: &[f64]) -> Option<f64> {
 pub fn solid_diagnosis(solids: &Solids, state: &State, gravity: DVec3) -> SolidDiagnosis {
     let (displacement, velocity) = (&state.displacement, &state.node_velocity);
     let elements = 0..solids.elements.len();
-    let deformations: Vec<_> = elements
-        .map(|element| solids.deformation(element, displacement))
-        .collect();
+    let deformations: Vec<_> = elements.map(|element| solids.deformation(element, displacement)).collect();
     diagnose_solid(solids, &deformations, displacement, velocity, gravity)
 }
 
@@ -317,12 +299,7 @@ fn non_finite(state: &State, report: &StepReport) -> usize {
     });
     let solids = report.solid.map(|solid| {
         let it = solid.diagnosis;
-        [
-            it.kinetic_energy,
-            it.elastic_energy,
-            it.max_speed,
-            it.min_det,
-        ]
+        [it.kinetic_energy, it.elastic_energy, it.max_speed, it.min_det]
     });
     let diagnoses = liquid.into_iter().chain(solids).flatten();
     let all = fields.copied().chain(diagnoses);
@@ -337,9 +314,7 @@ impl Case {
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         let clock = Instant::now();
         let mut row = self.row(backend);
-        let ended = self
-            .scene()
-            .and_then(|scene| simulate(&scene, backend, &mut row));
+        let ended = self.scene().and_then(|scene| simulate(&scene, backend, &mut row));
         match ended {
             // No case can run then.
             Err(error @ Error::Adapter { .. }) => return Err(error),
@@ -370,11 +345,7 @@ impl Case {
 /// Counters of imperfect sub-steps, and a phrase for each.
 const MISSES: [(&str, &str, &str); 2] = [
     ("missed", "missed their tolerance", "missed a tolerance"),
-    (
-        "unsettled",
-        "with contacts that did not settle",
-        "with contacts that did not settle",
-    ),
+    ("unsettled", "with contacts that did not settle", "with contacts that did not settle"),
 ];
 
 /// Counts a sub-step with solves that missed a tolerance, and one with unsettled contacts.
@@ -423,20 +394,10 @@ pub fn check(row: &mut Row, moment: &Moment, budget: &Budget, dt: f64) {
     raise(row, "elastic_ratio", moment.elastic / budget.energy);
     let (motion, solid, liquid) = (moment.motion(), moment.solid_speed, moment.liquid_speed);
     let energies = [
-        (
-            "energy_ratio",
-            "energy_bound",
-            "energy",
-            "times that of the start",
-        ),
+        ("energy_ratio", "energy_bound", "energy", "times that of the start"),
         ("motion", "motion_bound", "energy of motion and strain", "J"),
         ("solid_speed", "solid_speed_bound", "speed of a node", "m/s"),
-        (
-            "liquid_speed",
-            "liquid_speed_bound",
-            "speed of the liquid",
-            "m/s",
-        ),
+        ("liquid_speed", "liquid_speed_bound", "speed of the liquid", "m/s"),
     ];
     let numbers = [
         (ratio, budget.energy_bound(dt)),
@@ -448,8 +409,7 @@ pub fn check(row: &mut Row, moment: &Moment, budget: &Budget, dt: f64) {
         raise(row, name, value);
         row.set(bound_name, bound);
         if value > bound {
-            let problem =
-                format!("{what} above its bound, {value:.3} {unit} where {bound:.3} are the most");
+            let problem = format!("{what} above its bound, {value:.3} {unit} where {bound:.3} are the most");
             fail_step(row, problem);
         }
     }

@@ -22,11 +22,7 @@ impl Spread {
         assert!(!values.is_empty(), "a spread needs values");
         values.sort_by(f64::total_cmp);
         let n = values.len();
-        Spread {
-            median: 0.5 * (values[(n - 1) / 2] + values[n / 2]),
-            min: values[0],
-            max: values[n - 1],
-        }
+        Spread { median: 0.5 * (values[(n - 1) / 2] + values[n / 2]), min: values[0], max: values[n - 1] }
     }
 
     /// Spread of a value without repeats.
@@ -43,11 +39,7 @@ impl Spread {
 
     /// Sum with another spread.
     pub fn plus(self, other: Spread) -> Spread {
-        Spread {
-            median: self.median + other.median,
-            min: self.min + other.min,
-            max: self.max + other.max,
-        }
+        Spread { median: self.median + other.median, min: self.min + other.min, max: self.max + other.max }
     }
 
     /// First quartile, median and third, interpolated as `numpy.quantile` does.
@@ -76,9 +68,7 @@ pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
     let n = points.len() as f64;
     let means = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / n);
     let offsets = points.iter().map(|[x, y]| [x - means[0], y - means[1]]);
-    let [both, square] = offsets.fold([0.0; 2], |[both, square], [x, y]| {
-        [both + x * y, square + x * x]
-    });
+    let [both, square] = offsets.fold([0.0; 2], |[both, square], [x, y]| [both + x * y, square + x * x]);
     Some(both / square)
 }
 
@@ -98,9 +88,7 @@ pub struct Exponents {
 impl Exponents {
     /// Exponents of (x, spread of y); `None` where [`exponent`] has none.
     pub fn of(points: &[(f64, Spread)]) -> Option<Exponents> {
-        let through = |value: &dyn Fn(f64, Spread) -> f64| {
-            exponent(points.iter().map(|&(x, y)| (x, value(x, y))))
-        };
+        let through = |value: &dyn Fn(f64, Spread) -> f64| exponent(points.iter().map(|&(x, y)| (x, value(x, y))));
         let mut sizes: Vec<f64> = points.iter().map(|point| point.0).collect();
         sizes.sort_by(f64::total_cmp);
         sizes.dedup();

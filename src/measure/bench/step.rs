@@ -11,9 +11,7 @@ use super::chart::{Bars, Page};
 use super::statistics::{Spread, grouped};
 use super::sub_step::stage_seconds;
 use super::table::{Row, Table, Value, columns, row};
-use super::{
-    Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, growth, replace, rows,
-};
+use super::{Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, growth, replace, rows};
 use crate::Error;
 use crate::gpu::{AdapterChoice, Gpu, Trace, Traffic};
 use crate::sim::{Backend, GpuPath, Simulation};
@@ -92,11 +90,7 @@ fn bench() -> Bench {
 ///
 /// # Errors
 /// [`Error::Output`]; [`Error::Check`] where the runs of a scene differ; errors of the simulations.
-pub fn measure(
-    options: &Options,
-    settings: &Settings,
-    listener: Listener,
-) -> Result<Results, Error> {
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     if options.scenes.is_empty() {
         let cure = "give one scene file or more";
         return Err(Error::input("bench step", "no scene to measure", cure));
@@ -197,11 +191,7 @@ impl Device {
 
 impl<'a> Record<'a> {
     fn new(case: &'a Case) -> Record<'a> {
-        Record {
-            case,
-            device: None,
-            repeats: Vec::new(),
-        }
+        Record { case, device: None, repeats: Vec::new() }
     }
 
     /// Seconds of all runs.

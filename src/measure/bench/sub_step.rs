@@ -51,10 +51,7 @@ impl Mask {
             };
             (0..grid.n_faces(axis)).map(counts).collect()
         });
-        Mask {
-            cells: cells.clone(),
-            faces,
-        }
+        Mask { cells: cells.clone(), faces }
     }
 }
 
@@ -113,24 +110,14 @@ pub(super) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
         }
         Ok(())
     })?;
-    Ok(Done {
-        seconds,
-        report,
-        solution: solution.expect("every sub-step has a solve"),
-        faces,
-    })
+    Ok(Done { seconds, report, solution: solution.expect("every sub-step has a solve"), faces })
 }
 
 /// The same sub-step on the f64 path.
 pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done, Error> {
     path.reset(state.clone())?;
     let report = path.step(path.next_time_step())?;
-    let State {
-        pressure,
-        node_velocity: velocity,
-        velocity: faces,
-        ..
-    } = path.state().clone();
+    let State { pressure, node_velocity: velocity, velocity: faces, .. } = path.state().clone();
     Ok(Done {
         seconds: stage_seconds(&report, &[Stage::Solve.name()]),
         report,
@@ -142,10 +129,7 @@ pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
 /// Seconds of some stages of a sub-step.
 pub(super) fn stage_seconds(report: &StepReport, stages: &[&str]) -> f64 {
     let seconds = report.seconds.iter();
-    seconds
-        .filter(|(stage, _)| stages.contains(stage))
-        .map(|(_, seconds)| seconds)
-        .sum()
+    seconds.filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
 }
 
 /// Largest errors of pressure (Pa), node velocity and face velocity (m/s) of a liquid and solids at rest; NaN if any value is.
@@ -166,11 +150,7 @@ pub(super) fn rest_errors(
     let faces = done.faces.iter().flatten().zip(mask.faces.iter().flatten());
     let faces = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
     let nodes = done.solution.velocity.as_flattened().iter();
-    [
-        off.fold(0.0, larger),
-        nodes.map(|v| v.abs()).fold(0.0, larger),
-        faces.fold(0.0, larger),
-    ]
+    [off.fold(0.0, larger), nodes.map(|v| v.abs()).fold(0.0, larger), faces.fold(0.0, larger)]
 }
 
 /// Density of the liquid, kg/m^3; 0 without liquid.

@@ -166,8 +166,7 @@ impl Row {
             return value.clone();
         }
         let ends = ENDS.iter().enumerate();
-        let spread =
-            ends.filter_map(|(end, text)| Some((end, self.spread(name.strip_suffix(text)?)?)));
+        let spread = ends.filter_map(|(end, text)| Some((end, self.spread(name.strip_suffix(text)?)?)));
         let value = spread.map(|(end, Spread { median, min, max })| [median, min, max][end]);
         value.last().into()
     }
@@ -193,10 +192,7 @@ impl Row {
     /// Texts joined by spaces.
     pub fn join(&self, names: &[&str]) -> String {
         let texts = names.iter().map(|name| self.text(name));
-        texts
-            .filter(|text| !text.is_empty())
-            .collect::<Vec<_>>()
-            .join(" ")
+        texts.filter(|text| !text.is_empty()).collect::<Vec<_>>().join(" ")
     }
 
     /// Whether all values of another row are the same here.
@@ -281,17 +277,8 @@ pub struct Table {
 
 impl Table {
     /// A table without rows.
-    pub fn new(
-        name: &'static str,
-        columns: &'static [&'static [Column]],
-        key: &'static [&'static str],
-    ) -> Table {
-        Table {
-            name,
-            columns,
-            key,
-            rows: Vec::new(),
-        }
+    pub fn new(name: &'static str, columns: &'static [&'static [Column]], key: &'static [&'static str]) -> Table {
+        Table { name, columns, key, rows: Vec::new() }
     }
 
     fn columns(&self) -> impl Iterator<Item = &'static Column> + use<> {
@@ -301,9 +288,7 @@ impl Table {
     /// Names of the columns of files.
     fn heads(&self) -> Vec<Cow<'static, str>> {
         let heads = self.columns().flat_map(|column| match column.spread {
-            true => ENDS
-                .map(|end| format!("{}{end}", column.name).into())
-                .to_vec(),
+            true => ENDS.map(|end| format!("{}{end}", column.name).into()).to_vec(),
             false => vec![column.name.into()],
         });
         heads.collect()
@@ -314,8 +299,7 @@ impl Table {
     /// # Panics
     /// If a value has no column.
     pub(super) fn put(&mut self, row: Row) {
-        let unknown =
-            (row.0.keys()).find(|name| self.columns().all(|column| column.name != **name));
+        let unknown = (row.0.keys()).find(|name| self.columns().all(|column| column.name != **name));
         assert!(unknown.is_none(), "{} has no column {unknown:?}", self.name);
         match self.find(&row) {
             Some(at) if !self.key.is_empty() => self.rows[at] = row,
@@ -369,8 +353,7 @@ impl Table {
                 };
                 let cell = |name: &str| Value::parse(text(name));
                 rows.push(Row::new(self.columns().map(|column| {
-                    let [median, min, max] =
-                        ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
+                    let [median, min, max] = ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
                     let value = match column.spread {
                         false if column.names => text(column.name).into(),
                         false => cell(column.name),
@@ -392,20 +375,13 @@ impl Table {
     /// Names of the columns that the terminal shows.
     pub fn heading(&self) -> String {
         let shown = self.columns().filter(|column| column.shown);
-        shown
-            .map(|column| padded(heading(column), column))
-            .collect()
+        shown.map(|column| padded(heading(column), column)).collect()
     }
 
     /// The values of a row that the terminal shows.
     pub fn line(&self, row: &Row) -> String {
         let shown = self.columns().filter(|column| column.shown);
-        let cells = shown.map(|column| {
-            padded(
-                row.0.get(column.name).unwrap_or(&Value::Empty).short(),
-                column,
-            )
-        });
+        let cells = shown.map(|column| padded(row.0.get(column.name).unwrap_or(&Value::Empty).short(), column));
         cells.collect::<String>().trim_end().to_owned()
     }
 }

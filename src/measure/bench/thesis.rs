@@ -54,11 +54,7 @@ impl Options {
             "6.3" | "6.4" => &[50, 60],
             _ => &[5, 10, 20, 40, 80],
         };
-        if self.grids.is_empty() || own.is_empty() {
-            own.to_vec()
-        } else {
-            self.grids.clone()
-        }
+        if self.grids.is_empty() || own.is_empty() { own.to_vec() } else { self.grids.clone() }
     }
 
     fn check(&self) -> Result<(), Error> {
@@ -98,26 +94,13 @@ fn bench() -> Bench {
     Bench {
         name: "thesis",
         tables: vec![
-            Table::new(
-                "thesis",
-                &[errors::ERRORS],
-                &["table", "patch_pressure", "grid", "backend", "precision"],
-            ),
+            Table::new("thesis", &[errors::ERRORS], &["table", "patch_pressure", "grid", "backend", "precision"]),
             Table::new("thesis_orders", &[errors::ORDERS], &[]),
             Table::new("thesis_scenes", &[scenes::SCENES], &["scene", "precision"]),
             Table::new(
                 "thesis_systems",
                 &[systems::SYSTEMS],
-                &[
-                    "table",
-                    "grid",
-                    "nodes",
-                    "frame",
-                    "formulation",
-                    "solver",
-                    "backend",
-                    "precision",
-                ],
+                &["table", "grid", "nodes", "frame", "formulation", "solver", "backend", "precision"],
             ),
             Table::new("thesis_means", &[systems::MEANS], &[]),
             Table::new("thesis_growth", &[systems::GROWTH], &[]),
@@ -132,11 +115,7 @@ fn bench() -> Bench {
 ///
 /// # Errors
 /// [`Error::Input`] for grids and frames that the problems do not have, and missing scenes; [`Error::Output`]; errors of the simulations.
-pub fn measure(
-    options: &Options,
-    settings: &Settings,
-    listener: Listener,
-) -> Result<Results, Error> {
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
     let gpu = Gpu::new(&options.adapter)?;
     let scenes = scenes::load(options, gpu.has_f64())?;
@@ -165,10 +144,7 @@ pub fn measure(
 
 /// Means, growth and orders.
 pub fn derive(tables: &mut [Table]) {
-    if let Some(table) = tables
-        .iter_mut()
-        .find(|table| table.name == "thesis_systems")
-    {
+    if let Some(table) = tables.iter_mut().find(|table| table.name == "thesis_systems") {
         let sizes = |row: &Row| ["grid", "nodes", "frame"].map(|name| row.count(name));
         let place = |row: &Row| (row.text("table").to_owned(), sizes(row));
         table.rows.sort_by_key(place);
@@ -188,11 +164,7 @@ fn draw(results: &Results) -> Page {
         for (columns, printed, axes) in [
             (["dx", "error_p"], "thesis_p", ["dx, m", "error of p, Pa"]),
             (["dx", "error_v"], "thesis_v", ["dx, m", "error of v, m/s"]),
-            (
-                ["seconds_median", "error_p"],
-                "",
-                ["seconds of the solve", "error of p, Pa"],
-            ),
+            (["seconds_median", "error_p"], "", ["seconds of the solve", "error of p, Pa"]),
         ] {
             let name = |row: &Row| row.join(&["backend", "precision", "patch_pressure"]);
             let thesis = rows.iter().copied();
@@ -200,12 +172,7 @@ fn draw(results: &Results) -> Page {
             let mut all = lines(rows.iter().copied(), name, at(columns));
             let printed = at([columns[0], printed]);
             all.extend(lines(thesis, |_| "printed".to_owned(), printed));
-            charts.push(Chart {
-                title: format!("Table {table}"),
-                axes,
-                lines: all,
-                falling: true,
-            });
+            charts.push(Chart { title: format!("Table {table}"), axes, lines: all, falling: true });
         }
     }
     Page::Charts(3, charts)
@@ -218,19 +185,13 @@ fn draw_systems(means: &[Row]) -> Vec<Chart> {
         let (table, quantity) = (row.text("table"), row.text("quantity"));
         let quantity = drawn.into_iter().find(|name| *name == quantity)?;
         // Table 6.2 refines the beam with the grid.
-        let nodes = if table == "6.2" {
-            0
-        } else {
-            row.count("nodes")
-        };
+        let nodes = if table == "6.2" { 0 } else { row.count("nodes") };
         Some((table, quantity, nodes))
     });
     let charts = groups.into_iter().map(|((table, quantity, nodes), rows)| {
         let name = |row: &Row| row.join(&["backend", "precision", "formulation", "solver"]);
-        let thesis = rows
-            .iter()
-            .copied()
-            .filter(|row| row.text("backend") == "cpu" && row.text("formulation") != "condensed");
+        let thesis =
+            rows.iter().copied().filter(|row| row.text("backend") == "cpu" && row.text("formulation") != "condensed");
         let printed = |row: &Row| format!("printed, {}", row.text("formulation"));
         let mut all = lines(rows.iter().copied(), name, at(["grid", "mean"]));
         all.extend(lines(thesis, printed, at(["grid", "thesis"])));

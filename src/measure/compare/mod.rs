@@ -43,9 +43,7 @@ pub struct Comparison {
 impl Comparison {
     /// The row with the largest difference over its bound.
     pub fn worst(&self) -> Option<&Row> {
-        self.rows
-            .iter()
-            .max_by(|a, b| a.ratio().total_cmp(&b.ratio()))
+        self.rows.iter().max_by(|a, b| a.ratio().total_cmp(&b.ratio()))
     }
 
     /// # Errors
@@ -197,12 +195,9 @@ impl<'a> Twins<'a> {
             report: after.coupling,
         });
         let both = both.as_ref();
-        if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) = (
-            stage,
-            both.filter(|both| both.touch()),
-            &self.liquid,
-            &mut self.solids,
-        ) && let Some(systems) = liquid.systems(both.liquid, both)
+        if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) =
+            (stage, both.filter(|both| both.touch()), &self.liquid, &mut self.solids)
+            && let Some(systems) = liquid.systems(both.liquid, both)
         {
             let density = self.scene.liquid.as_ref().map_or(0.0, |it| it.density);
             solids.assembly(both.solids, both, density, systems)?;
@@ -230,12 +225,7 @@ impl<'a> Twins<'a> {
 
 /// Gradients of the pressure within cells, Pa/m; those of cells without patches do not count. `before`: the liquid before the sub-step; `dt_last`:
 /// length of the last one, s.
-fn slopes(
-    scene: &Scene,
-    clip: &SolidClip,
-    before: &LiquidSnapshot,
-    (gravity, dt_last): (DVec3, f64),
-) -> Vec<DVec3> {
+fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, (gravity, dt_last): (DVec3, f64)) -> Vec<DVec3> {
     let grid = scene.grid();
     let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
     let at_rest = (density * gravity).as_vec3().as_dvec3();
@@ -260,8 +250,7 @@ fn slopes(
 
 /// The corners of a cube about the origin, with coordinates of 1 and -1.
 fn corners() -> impl Iterator<Item = DVec3> {
-    (0..8)
-        .map(|corner| DVec3::from([0, 1, 2].map(|axis| f64::from(corner >> axis & 1) * 2.0 - 1.0)))
+    (0..8).map(|corner| DVec3::from([0, 1, 2].map(|axis| f64::from(corner >> axis & 1) * 2.0 - 1.0)))
 }
 
 /// Liquid and solids of a scene after a stage.
@@ -339,10 +328,7 @@ fn unit(real: Real) -> f64 {
 
 /// Values after rounding to f32.
 fn rounded_to_f32(values: &[f64]) -> Vec<f64> {
-    values
-        .iter()
-        .map(|&value| f64::from(value as f32))
-        .collect()
+    values.iter().map(|&value| f64::from(value as f32)).collect()
 }
 
 /// Largest value of a list of numbers that are not negative; 0 of none.
@@ -357,20 +343,13 @@ mod tests {
 
     /// Rows with so many numbers compared, all equal, and so many excused.
     fn comparison(rows: &[(&'static str, u64, u64)]) -> Comparison {
-        let mut table = Table {
-            stage: "forces",
-            ..Table::default()
-        };
+        let mut table = Table { stage: "forces", ..Table::default() };
         for &(quantity, count, excused) in rows {
             let numbers = (0..count).map(|_| (1.0, 1.0, 0.0, Place::Whole));
             table.add([quantity, "m/s"], numbers);
             table.row([quantity, "m/s"]).excused = excused;
         }
-        Comparison {
-            rows: table.rows,
-            steps: 1,
-            adapter: String::new(),
-        }
+        Comparison { rows: table.rows, steps: 1, adapter: String::new() }
     }
 
     #[test]
@@ -379,14 +358,8 @@ mod tests {
         let within = comparison(&[("a", 10_000, 0), ("b", 9_980, 20), ("c", 3, 1)]);
         assert!(within.verdict().is_ok(), "{:?}", within.verdict());
         for (beyond, told) in [
-            (
-                (9_979, 21),
-                "b of forces: 21 excused and 9979 compared, 20 may be",
-            ),
-            (
-                (100, 2),
-                "b of forces: 2 excused and 100 compared, 1 may be",
-            ),
+            ((9_979, 21), "b of forces: 21 excused and 9979 compared, 20 may be"),
+            ((100, 2), "b of forces: 2 excused and 100 compared, 1 may be"),
             ((0, 1), "b of forces: 1 excused and 0 compared"),
             ((0, 5_000), "b of forces: 5000 excused and 0 compared"),
         ] {
@@ -396,10 +369,7 @@ mod tests {
             let error = spoilt.verdict().unwrap_err();
             assert_eq!(error.exit_code(), 1);
             let message = error.to_string();
-            assert!(
-                message.contains("1 of 3 quantities leave out") && message.contains(told),
-                "{message}"
-            );
+            assert!(message.contains("1 of 3 quantities leave out") && message.contains(told), "{message}");
         }
     }
 
@@ -407,19 +377,9 @@ mod tests {
     #[test]
     fn differences_and_excuses_are_both_reported() {
         let mut both = comparison(&[("a", 10, 0), ("b", 10, 7)]);
-        both.rows[0].worst = Some(Worst {
-            gpu: f64::NAN,
-            twin: 1.0,
-            bound: 1.0,
-            place: Place::Whole,
-            step: 4,
-        });
+        both.rows[0].worst = Some(Worst { gpu: f64::NAN, twin: 1.0, bound: 1.0, place: Place::Whole, step: 4 });
         let message = both.verdict().unwrap_err().to_string();
-        for told in [
-            "the worst is a of forces: NaN m/s",
-            "sub-step 4",
-            "b of forces: 7 excused",
-        ] {
+        for told in ["the worst is a of forces: NaN m/s", "sub-step 4", "b of forces: 7 excused"] {
             assert!(message.contains(told), "{told}: {message}");
         }
     }

@@ -13,8 +13,8 @@ use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
 use crate::reference::{
-    self, ActiveCells, ActiveSurfaces, BlockPattern, Contacts, Formulation,
-    RightHandSide as Inflow, SolidMatrices, SolidRightHandSide, SolidSolver, SolidSystem,
+    self, ActiveCells, ActiveSurfaces, BlockPattern, Contacts, Formulation, RightHandSide as Inflow, SolidMatrices,
+    SolidRightHandSide, SolidSolver, SolidSystem,
 };
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
@@ -65,10 +65,7 @@ impl<'a> SolidComparison<'a> {
         let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else {
             return Ok(None);
         };
-        let grid = Grid {
-            cells: scene.domain.cells,
-            dx: f64::from(scene.grid().dx as f32),
-        };
+        let grid = Grid { cells: scene.domain.cells, dx: f64::from(scene.grid().dx as f32) };
         let solids = before.on_device(solids);
         let mut obstacles = path.contact_field();
         obstacles.grid = grid;
@@ -101,12 +98,7 @@ impl<'a> SolidComparison<'a> {
         self.dt = f64::from(dt as f32);
         self.obstacles.move_to(path.clock().time + dt, dt);
         if path.clock().step == 0 {
-            let SolidSnapshot {
-                displacement,
-                velocity,
-                real,
-                ..
-            } = &mut self.before;
+            let SolidSnapshot { displacement, velocity, real, .. } = &mut self.before;
             self.solids.start_scripts(displacement, velocity, self.dt);
             if *real == Real::F32 {
                 for v in velocity.as_flattened_mut() {
@@ -142,8 +134,7 @@ impl<'a> SolidComparison<'a> {
     /// right.
     fn ballistic_bodies(&mut self, after: &SolidSnapshot, both: Option<&Both>) -> Vec<bool> {
         let (n, grid, before) = (self.solids.rest.len(), self.grid, &self.before);
-        let wet =
-            both.map(|both| reference::wet_nodes(both.clip.coupling(), &both.liquid.filled, n));
+        let wet = both.map(|both| reference::wet_nodes(both.clip.coupling(), &both.liquid.filled, n));
         let wet = wet.unwrap_or_else(|| vec![false; n]);
         let distance = match self.scene.obstacles.is_empty() {
             true => &[][..],
@@ -227,9 +218,8 @@ impl<'a> SolidComparison<'a> {
                 let nodes = body.nodes.clone();
                 largest(nodes.map(|node| vector(node).length()))
             };
-            let change = |after: &Field, before: &Field| {
-                longest(&|node| DVec3::from(after[node]) - DVec3::from(before[node]))
-            };
+            let change =
+                |after: &Field, before: &Field| longest(&|node| DVec3::from(after[node]) - DVec3::from(before[node]));
             let speed = longest(&|node| before.velocity[node].into());
             let moved = change(turned, &before.displacement) + self.dt * speed / ROTATION_ROUNDINGS;
             let faster = change(turned_v, &before.velocity) + speed / ROTATION_ROUNDINGS;
@@ -246,9 +236,7 @@ impl<'a> SolidComparison<'a> {
         let prescribed = &after.prescribed;
         reference::node_forces(&self.solids, prescribed, gravity, self.dt, &mut twin);
         let (eps, dt, rest) = (unit(after.real), self.dt, &self.solids.rest);
-        let bound = |node: usize, axis: usize| {
-            eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs())
-        };
+        let bound = |node: usize, axis: usize| eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs());
         let velocities = [&after.velocity[..], &twin];
         self.table.nodes(rest, ["v*", "m/s"], velocities, bound);
     }
@@ -342,8 +330,7 @@ impl<'a> SolidComparison<'a> {
         for node in 0..n {
             let load = self.solids.load[node];
             let sum = inertia(node) - elastic[node] + load + corrections[node];
-            let terms =
-                (count[node] + 4.0) * size[node] + 8.0 * inertia(node).abs() + 4.0 * load.abs();
+            let terms = (count[node] + 4.0) * size[node] + 8.0 * inertia(node).abs() + 4.0 * load.abs();
             let terms = terms + (8.0 * EPS / eps + 32.0) * gross[node];
             for axis in (0..3).filter(|&axis| !self.solids.prescribed[node][axis]) {
                 twin[node][axis] = sum[axis];
@@ -367,8 +354,7 @@ impl<'a> SolidComparison<'a> {
             let offset = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
             let slope = both.slopes[patch.cell];
             for (corner, &node) in triangles[patch.triangle].iter().enumerate() {
-                let moment =
-                    patch.barycentric[corner] * patch.area * offset + patch.moments[corner];
+                let moment = patch.barycentric[corner] * patch.area * offset + patch.moments[corner];
                 sums[node as usize] += slope.dot(moment) * patch.normal;
                 gross[node as usize] += slope.length() * moment.length();
             }
@@ -389,11 +375,7 @@ impl<'a> SolidComparison<'a> {
         let Some(matrices) = &self.matrices else {
             return Ok(());
         };
-        let exact = Solver {
-            tolerance: 1e-12,
-            max_iterations: 10_000,
-            ..self.scene.solver
-        };
+        let exact = Solver { tolerance: 1e-12, max_iterations: 10_000, ..self.scene.solver };
         let solve = |(active, rhs), solid, coupling: &Coupling, density| {
             let active = (active, &*both.liquid.separated);
             let system = coupled_system(active, rhs, solid, coupling, density);
@@ -405,10 +387,7 @@ impl<'a> SolidComparison<'a> {
         let solid = after.system(solids, &self.pattern, dt);
         let stored = solve(stored, solid, &areas, weight)?;
         // The right-hand side is the device's, compared in row `right_hand_side`: this row compares coefficients.
-        let rhs = SolidRightHandSide {
-            values: after.rhs.clone(),
-            scale: 0.0,
-        };
+        let rhs = SolidRightHandSide { values: after.rhs.clone(), scale: 0.0 };
         let (stiffness, freedom) = (matrices.stiffness.clone(), after.freedom.clone());
         let solid = SolidSystem::new(solids, stiffness, &rhs, &after.velocity, freedom, dt);
         let assembled = solve(assembled, solid, both.clip.coupling(), density)?;
@@ -450,8 +429,7 @@ impl<'a> SolidComparison<'a> {
         let solver = &self.scene.solver;
         let x = system.free_part(&after.velocity);
         let residual = norm(&system.residual(&x));
-        let twin_rhs =
-            reference::solid_right_hand_side(solids, &matrices, &self.before.velocity, dt);
+        let twin_rhs = reference::solid_right_hand_side(solids, &matrices, &self.before.velocity, dt);
         let rounded = rounding(solver) * (twin_rhs.scale + size);
         let mut allowed = (solver.tolerance * size).max(rounded) * (1.0 + 1e-6) + area_error;
         if after.real == Real::F32 {
@@ -464,10 +442,7 @@ impl<'a> SolidComparison<'a> {
         let quantity = ["true residual of S v", "N"];
         self.table.whole(quantity, residual, 0.0, allowed);
         self.compare_contacts(after, both, &system);
-        let exact = Solver {
-            tolerance: 1e-13,
-            ..self.scene.solver
-        };
+        let exact = Solver { tolerance: 1e-13, ..self.scene.solver };
         let solids = &self.solids;
         let (twin, _) = self.solver.solve_direct(&system, &exact)?;
         let least = (0..solids.rest.len())
@@ -475,18 +450,12 @@ impl<'a> SolidComparison<'a> {
             .fold(f64::INFINITY, f64::min);
         let bound = (allowed + 1e-12 * norm(&system.rhs)) / least;
         let (rest, velocities) = (&solids.rest, [&after.velocity[..], &twin]);
-        self.table
-            .nodes(rest, ["v", "m/s"], velocities, |_, _| bound);
+        self.table.nodes(rest, ["v", "m/s"], velocities, |_, _| bound);
         Ok(())
     }
 
     /// Penetrating or adhering nodes. Where the active set is not settled, only penetration by solids alone is compared.
-    fn compare_contacts(
-        &mut self,
-        after: &SolidSnapshot,
-        both: Option<&Both>,
-        system: &SolidSystem,
-    ) {
+    fn compare_contacts(&mut self, after: &SolidSnapshot, both: Option<&Both>, system: &SolidSystem) {
         if !after.settled && both.is_some_and(Both::touch) {
             return;
         }
@@ -509,12 +478,10 @@ impl<'a> SolidComparison<'a> {
         let (solids, gpu) = (&self.solids, &after.report.diagnosis);
         let gravity = self.gravity;
         let displacement = &after.displacement;
-        let deformations: Vec<Deformation> = (0..solids.elements.len())
-            .map(|element| solids.deformation(element, displacement))
-            .collect();
+        let deformations: Vec<Deformation> =
+            (0..solids.elements.len()).map(|element| solids.deformation(element, displacement)).collect();
         let velocity = &after.velocity;
-        let twin =
-            reference::diagnose_solid(solids, &deformations, displacement, velocity, gravity);
+        let twin = reference::diagnose_solid(solids, &deformations, displacement, velocity, gravity);
         let size = magnitudes(solids, after, gravity);
         let n = (solids.rest.len() + solids.elements.len()) as f64;
         let shares = match after.real {
@@ -524,18 +491,15 @@ impl<'a> SolidComparison<'a> {
         let error = shares + (n + 32.0) * f64::EPSILON + EPS * EPS;
         // Quadratic in the strain, which has the roundings of F.
         let eps = unit(after.real);
-        let rounded = 64.0 * eps * (size.elastic_energy * twin.elastic_energy).sqrt()
-            + 4096.0 * eps * eps * size.elastic_energy;
+        let rounded =
+            64.0 * eps * (size.elastic_energy * twin.elastic_energy).sqrt() + 4096.0 * eps * eps * size.elastic_energy;
         whole! { self.table;
             "kinetic energy" "J": gpu.kinetic_energy, twin.kinetic_energy, error * size.kinetic_energy;
             "potential energy" "J": gpu.potential_energy, twin.potential_energy, error * size.potential_energy;
             "largest speed" "m/s": gpu.max_speed, twin.max_speed, EPS * twin.max_speed;
         }
         for a in 0..3 {
-            let bounds = [
-                error * size.momentum[a],
-                4.0 * error * size.angular_momentum[a],
-            ];
+            let bounds = [error * size.momentum[a], 4.0 * error * size.angular_momentum[a]];
             whole! { self.table;
                 "momentum" "kg m/s": gpu.momentum[a], twin.momentum[a], bounds[0];
                 "angular momentum" "kg m^2/s": gpu.angular_momentum[a], twin.angular_momentum[a], bounds[1];
@@ -609,11 +573,7 @@ fn condition(deformation: &Deformation) -> f64 {
     let trace = stretch.x_axis.x + stretch.y_axis.y + stretch.z_axis.z;
     let inverse = (DMat3::from_diagonal(DVec3::splat(trace)) - stretch).inverse();
     let size = frobenius(inverse);
-    if size.is_finite() {
-        2.0 * size
-    } else {
-        f64::INFINITY
-    }
+    if size.is_finite() { 2.0 * size } else { f64::INFINITY }
 }
 
 /// Frobenius norm.

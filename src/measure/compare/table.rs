@@ -158,12 +158,7 @@ impl Row {
 }
 
 /// The components of a vector on both paths.
-pub(super) fn components(
-    gpu: [f64; 3],
-    twin: [f64; 3],
-    bound: f64,
-    place: Place,
-) -> [(f64, f64, f64, Place); 3] {
+pub(super) fn components(gpu: [f64; 3], twin: [f64; 3], bound: f64, place: Place) -> [(f64, f64, f64, Place); 3] {
     [0, 1, 2].map(|a| (gpu[a], twin[a], bound, place))
 }
 
@@ -194,33 +189,18 @@ impl Table {
         let stage = self.stage;
         let known = |row: &Row| row.stage == stage && row.quantity == quantity;
         let index = self.rows.iter().position(known).unwrap_or_else(|| {
-            self.rows.push(Row {
-                stage,
-                quantity,
-                unit,
-                ..Row::default()
-            });
+            self.rows.push(Row { stage, quantity, unit, ..Row::default() });
             self.rows.len() - 1
         });
         &mut self.rows[index]
     }
 
     /// Adds (GPU, twin, bound, place) to a row.
-    pub(super) fn add(
-        &mut self,
-        quantity: Quantity,
-        pairs: impl IntoIterator<Item = (f64, f64, f64, Place)>,
-    ) {
+    pub(super) fn add(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = (f64, f64, f64, Place)>) {
         let step = self.step;
         let row = self.row(quantity);
         for (gpu, twin, bound, place) in pairs {
-            row.add(Worst {
-                gpu,
-                twin,
-                bound,
-                place,
-                step,
-            });
+            row.add(Worst { gpu, twin, bound, place, step });
         }
     }
 
@@ -231,22 +211,14 @@ impl Table {
         pairs: impl IntoIterator<Item = Option<(f64, f64, f64, Place)>>,
     ) {
         let mut excused = 0;
-        let compared = pairs
-            .into_iter()
-            .inspect(|pair| excused += usize::from(pair.is_none()));
+        let compared = pairs.into_iter().inspect(|pair| excused += usize::from(pair.is_none()));
         self.add(quantity, compared.flatten());
         self.excuse(quantity, excused);
     }
 
     /// Adds flags to a row: they must agree everywhere.
-    pub(super) fn add_flags(
-        &mut self,
-        quantity: &'static str,
-        pairs: impl IntoIterator<Item = (bool, bool, Place)>,
-    ) {
-        let pairs = pairs
-            .into_iter()
-            .map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
+    pub(super) fn add_flags(&mut self, quantity: &'static str, pairs: impl IntoIterator<Item = (bool, bool, Place)>) {
+        let pairs = pairs.into_iter().map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
         self.add([quantity, "flag"], pairs);
     }
 

@@ -10,9 +10,7 @@ use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::AdapterChoice;
 use crate::linalg::Csr;
-use crate::reference::{
-    BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices,
-};
+use crate::reference::{BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
 use crate::step::Stage;
@@ -32,13 +30,7 @@ struct Coupled {
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     ensure_system(scene, options)?;
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
-    let Coupled {
-        system,
-        pressure,
-        velocity,
-        variables,
-        sub_step,
-    } = match &options.backend {
+    let Coupled { system, pressure, velocity, variables, sub_step } = match &options.backend {
         Backend::Gpu(choice) => stored(scene, choice, options, density)?,
         Backend::Cpu => assembled(scene, options, &all)?,
     };
@@ -75,10 +67,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
     };
     let separated = &system.pressure.separated;
     others.extend(pressure::tables(&scene.grid(), &blocks.cells, separated));
-    others.push((
-        "nodes.csv",
-        solids::table(&all, &blocks.components, n_cells),
-    ));
+    others.push(("nodes.csv", solids::table(&all, &blocks.components, n_cells)));
     let written = System {
         matrix: blocks.two_field(SIGMA)?,
         rhs: blocks.two_field_rhs(SIGMA, &e, &w),
@@ -110,22 +99,15 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
         ),
         _ => return Ok(()),
     };
-    Err(Error::input(
-        scene.file.display().to_string(),
-        problem,
-        cure,
-    ))
+    Err(Error::input(scene.file.display().to_string(), problem, cure))
 }
 
 /// The system of the f64 path.
 fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<Coupled, Error> {
-    let ((system, pressure, velocity), sub_step, path) =
-        on_cpu(scene, options, |system| match system {
-            StepSystem::Coupled(system, pressure, velocity) => {
-                Some((system.clone(), pressure.to_vec(), velocity.to_vec()))
-            }
-            StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
-        })?;
+    let ((system, pressure, velocity), sub_step, path) = on_cpu(scene, options, |system| match system {
+        StepSystem::Coupled(system, pressure, velocity) => Some((system.clone(), pressure.to_vec(), velocity.to_vec())),
+        StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
+    })?;
     let pattern = Arc::new(BlockPattern::new(all));
     let deformations = solid_matrices(all, &pattern, &path.state().displacement).deformations;
     Ok(Coupled {
@@ -141,12 +123,7 @@ fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<Coupled, 
 }
 
 /// The system stored on the device.
-fn stored(
-    scene: &Scene,
-    choice: &AdapterChoice,
-    options: &Options,
-    density: f64,
-) -> Result<Coupled, Error> {
+fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64) -> Result<Coupled, Error> {
     let mut inflow = Vec::new();
     let (value, sub_step) = on_gpu(scene, choice, options, |stage, path, dt| {
         if ![Stage::Solve, Stage::RightHandSide].contains(&stage) {
@@ -175,11 +152,5 @@ fn stored(
         Ok(Some((system, pressure, solids.velocity.clone(), variables)))
     })?;
     let (system, pressure, velocity, variables) = value;
-    Ok(Coupled {
-        system,
-        pressure,
-        velocity,
-        variables,
-        sub_step,
-    })
+    Ok(Coupled { system, pressure, velocity, variables, sub_step })
 }

@@ -198,8 +198,7 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         },
     };
     let [matrix, rhs, solution] = system.comments;
-    let json =
-        serde_json::to_string_pretty(&meta).map_err(|problem| Error::output(out, problem))?;
+    let json = serde_json::to_string_pretty(&meta).map_err(|problem| Error::output(out, problem))?;
     let mut files = vec![
         ("spd.mtx", text::symmetric(&system.matrix, matrix)),
         ("spd_rhs.mtx", text::vector(&system.rhs, rhs)),
@@ -289,11 +288,7 @@ fn on_gpu<T>(
         })?;
         if let Some(value) = value {
             let adapter = Some(path.gpu().report().name.clone());
-            let sub_step = SubStep {
-                dt,
-                report,
-                adapter,
-            };
+            let sub_step = SubStep { dt, report, adapter };
             return Ok((value, sub_step));
         }
     }
@@ -321,11 +316,7 @@ fn on_cpu<T>(
             }
         })?;
         if let Some(value) = value {
-            let sub_step = SubStep {
-                dt: time_step.dt,
-                report,
-                adapter: None,
-            };
+            let sub_step = SubStep { dt: time_step.dt, report, adapter: None };
             return Ok((value, sub_step, path));
         }
         if reached {

@@ -34,11 +34,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         matrix: system.to_csr(),
         rhs: active(&system.rhs),
         solution: active(&pressure),
-        comments: [
-            "B, m^3/s per Pa; cells.csv says which cell a row is",
-            "E u*, m^3/s",
-            "p, Pa",
-        ],
+        comments: ["B, m^3/s per Pa; cells.csv says which cell a row is", "E u*, m^3/s", "p, Pa"],
         others: tables(&grid, &cells, &system.separated),
         part: json!({ "density": density, "closed_components": system.closed.len() }),
     };
@@ -46,11 +42,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
 }
 
 /// cells.csv and, where cells separated, separated.csv with these.
-pub(super) fn tables(
-    grid: &Grid,
-    cells: &[usize],
-    separated: &[usize],
-) -> Vec<(&'static str, String)> {
+pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<(&'static str, String)> {
     let mut tables = vec![("cells.csv", table(grid, cells))];
     if !separated.is_empty() {
         tables.push(("separated.csv", table(grid, separated)));

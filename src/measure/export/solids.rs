@@ -16,9 +16,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
     let solids = solids_of(scene)?;
     let ((system, velocity), sub_step) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
-            (stage == Stage::Solve)
-                .then(|| stored(path, dt))
-                .transpose()
+            (stage == Stage::Solve).then(|| stored(path, dt)).transpose()
         })?,
         Backend::Cpu => {
             let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
@@ -29,12 +27,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         }
     };
     let components = system.components();
-    let free = |values: &[f64]| {
-        components
-            .iter()
-            .map(|&at| values[at])
-            .collect::<Vec<f64>>()
-    };
+    let free = |values: &[f64]| components.iter().map(|&at| values[at]).collect::<Vec<f64>>();
     let mut others = files! {
         "M.mtx" symmetric &system.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n";
         "K.mtx" symmetric &system.stiffness_to_csr(), "K, N/m, rows as those of M";

@@ -24,10 +24,7 @@ impl Liquid {
     pub(super) fn new(surface: &LiquidSurface, size: Vec3) -> Option<Liquid> {
         let corners = |corners: &[u32; 3]| corners.map(|corner| surface.vertices[corner as usize]);
         let triangles = (0..).zip(&surface.triangles);
-        let triangles = triangles.map(|(number, of)| Triangle {
-            corners: corners(of),
-            owner: Owner::Liquid(number),
-        });
+        let triangles = triangles.map(|(number, of)| Triangle { corners: corners(of), owner: Owner::Liquid(number) });
         let normals = surface.triangles.iter().map(|of| {
             let points = corners(of);
             match in_wall(points, size) {
@@ -38,10 +35,8 @@ impl Liquid {
                 false => of.map(|corner| surface.normals[corner as usize]),
             }
         });
-        (!surface.triangles.is_empty()).then(|| Liquid {
-            normals: normals.collect(),
-            triangles: Triangles::new(triangles.collect()),
-        })
+        (!surface.triangles.is_empty())
+            .then(|| Liquid { normals: normals.collect(), triangles: Triangles::new(triangles.collect()) })
     }
 
     /// The first entry of a ray from air before `limit`.

@@ -114,25 +114,16 @@ impl PreviewOptions {
         camera.up = self.up.unwrap_or(camera.up);
         camera.fov = self.fov.unwrap_or(camera.fov);
         camera.cut = self.cut.or(camera.cut);
-        let refuse =
-            |option: &str, problem: &str, cure: &str| Err(Error::input(option, problem, cure));
+        let refuse = |option: &str, problem: &str, cure: &str| Err(Error::input(option, problem, cure));
         let numbers = [camera.eye, camera.target, camera.up];
-        if !numbers.iter().all(|x| {
-            x.is_finite()
-                && x.abs().max_element() <= 1e6 * vector(manifest.size).max_element() as f64
-        }) {
-            return refuse(
-                "camera",
-                "a coordinate is not finite, or far beyond the domain",
-                "give coordinates in m",
-            );
+        if !numbers
+            .iter()
+            .all(|x| x.is_finite() && x.abs().max_element() <= 1e6 * vector(manifest.size).max_element() as f64)
+        {
+            return refuse("camera", "a coordinate is not finite, or far beyond the domain", "give coordinates in m");
         }
         if !(camera.fov > 0.0 && camera.fov <= 150.0) {
-            return refuse(
-                "--camera-fov",
-                "is no field of view",
-                "give an angle of at most 150 degrees; 35 is usual",
-            );
+            return refuse("--camera-fov", "is no field of view", "give an angle of at most 150 degrees; 35 is usual");
         }
         let Some(up) = camera.up.try_normalize() else {
             return refuse(
@@ -145,11 +136,7 @@ impl PreviewOptions {
         let given = self.eye.is_some() || self.target.is_some() || self.up.is_some();
         let ahead = (camera.target - camera.eye).try_normalize();
         if given && ahead.is_none() {
-            return refuse(
-                "--camera-eye",
-                "is the target itself",
-                "move it away from the target",
-            );
+            return refuse("--camera-eye", "is the target itself", "move it away from the target");
         }
         if given && ahead.is_some_and(|ahead| ahead.dot(up).abs() >= 1.0 - 1e-9) {
             return refuse(
@@ -237,11 +224,7 @@ impl Pictures {
             return Err(Error::input(
                 what,
                 format!("pictures of {} x {} pixels", size[0], size[1]),
-                format!(
-                    "sides have {} to {} pixels",
-                    PICTURE_SIDES.start(),
-                    PICTURE_SIDES.end()
-                ),
+                format!("sides have {} to {} pixels", PICTURE_SIDES.start(), PICTURE_SIDES.end()),
             ));
         }
         let view = View::new(&camera.pose(0.0), camera.up, size);
@@ -278,10 +261,7 @@ impl Pictures {
     /// [`Error::Interrupted`] after `progress` returned false; [`Error::Input`] and [`Error::Output`] for files.
     pub fn draw(&mut self, progress: &mut dyn FnMut(usize, usize) -> bool) -> Result<(), Error> {
         let files = frame_files(&self.run.join("frames"), &self.manifest)?;
-        let files: Vec<(u64, FrameFiles)> = files
-            .into_iter()
-            .step_by(self.options.every.max(1))
-            .collect();
+        let files: Vec<(u64, FrameFiles)> = files.into_iter().step_by(self.options.every.max(1)).collect();
         let n = files.len();
         for (done, (frame, files)) in files.iter().enumerate() {
             if self.drawn.contains_key(frame) {
@@ -298,20 +278,9 @@ impl Pictures {
     }
 
     fn draw_frame(&mut self, frame: u64, files: &FrameFiles) -> Result<PathBuf, Error> {
-        let Pictures {
-            options,
-            manifest,
-            camera,
-            scene,
-            surface,
-            ..
-        } = self;
+        let Pictures { options, manifest, camera, scene, surface, .. } = self;
         let time = frame as f64 / manifest.frames_per_second;
-        let view = View::new(
-            &camera.pose(time),
-            camera.up,
-            options.size.unwrap_or(camera.size),
-        );
+        let view = View::new(&camera.pose(time), camera.up, options.size.unwrap_or(camera.size));
         scene.pixel = view.pixel();
         let walls = Vec3::from_array(manifest.cells.map(|n| n as f32)) * manifest.dx as f32;
         if let Some(file) = &files.liquid {
@@ -326,8 +295,7 @@ impl Pictures {
         if let Some(file) = &files.solids {
             let frame = SolidFrame::read(file, options.colour)?;
             let (solids, appearances) = surface.coloured(&frame, options.colour);
-            (scene.solids, scene.appearances) =
-                (solids.without(before(camera.cut, view.eye)), appearances);
+            (scene.solids, scene.appearances) = (solids.without(before(camera.cut, view.eye)), appearances);
         }
         let (mut picture, depths) = scene.render(&view);
         draw_domain(&mut picture, &depths, &view, scene.domain);
@@ -356,8 +324,7 @@ impl Pictures {
             let rate = self.manifest.frames_per_second;
             // Browsers slow down faster animations, so frames are skipped instead.
             let every = (rate / FASTEST_ANIMATION).ceil().max(1.0) as usize;
-            let (numbers, pictures): (Vec<u64>, Vec<PathBuf>) =
-                self.drawn.clone().into_iter().step_by(every).unzip();
+            let (numbers, pictures): (Vec<u64>, Vec<PathBuf>) = self.drawn.clone().into_iter().step_by(every).unzip();
             let seconds = seconds_shown(&numbers, rate);
             let shown: Vec<(PathBuf, f64)> = pictures.into_iter().zip(seconds).collect();
             picture::animate(&path, &shown)?;
@@ -387,10 +354,7 @@ struct FrameFiles {
 fn seconds_shown(numbers: &[u64], frames_per_second: f64) -> Vec<f64> {
     let mut frames: Vec<u64> = numbers.windows(2).map(|pair| pair[1] - pair[0]).collect();
     frames.push(frames.last().copied().unwrap_or(1));
-    frames
-        .into_iter()
-        .map(|frames| frames as f64 / frames_per_second)
-        .collect()
+    frames.into_iter().map(|frames| frames as f64 / frames_per_second).collect()
 }
 
 /// Complete frames in the folder by number. The liquid's file is its surface, markers or fields.
@@ -400,11 +364,7 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
     // File name before and after the number.
     let liquid = match manifest {
         Manifest { surfaces: true, .. } => Some((format!("{name}_surface_"), "vtp")),
-        Manifest {
-            markers: true,
-            level: false,
-            ..
-        } => Some((format!("{name}_"), "vtp")),
+        Manifest { markers: true, level: false, .. } => Some((format!("{name}_"), "vtp")),
         Manifest { fields: true, .. } => Some((format!("{name}_"), "vti")),
         _ => None,
     };
@@ -422,11 +382,7 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
         let number = |kind: &Option<(String, &str)>| -> Option<u64> {
             let (prefix, extension) = kind.as_ref()?;
             let number = path.file_name()?.to_str()?.strip_prefix(prefix.as_str())?;
-            number
-                .strip_suffix(extension)?
-                .strip_suffix('.')?
-                .parse()
-                .ok()
+            number.strip_suffix(extension)?.strip_suffix('.')?.parse().ok()
         };
         if let Some(number) = number(&liquid) {
             frames.entry(number).or_default().liquid = Some(path);
@@ -434,9 +390,7 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
             frames.entry(number).or_default().solids = Some(path);
         }
     }
-    frames.retain(|_, files| {
-        files.liquid.is_some() == liquid.is_some() && files.solids.is_some() == solids.is_some()
-    });
+    frames.retain(|_, files| files.liquid.is_some() == liquid.is_some() && files.solids.is_some() == solids.is_some());
     if frames.is_empty() {
         let problem = format!("no frame {first}000000.{extension} or later");
         let cure = "let `cutwater run` write a frame first";
@@ -450,19 +404,12 @@ fn before(cut: Option<CameraCut>, eye: Vec3) -> Option<HalfSpace> {
     let CameraCut { axis, at } = cut?;
     let at = at as f32;
     let side = if eye[axis] < at { -1.0 } else { 1.0 };
-    Some(HalfSpace {
-        normal: side * Vec3::AXES[axis],
-        offset: side * at,
-    })
+    Some(HalfSpace { normal: side * Vec3::AXES[axis], offset: side * at })
 }
 
 /// Axis nearest to the direction against gravity, or without gravity to the camera's up vector.
 fn upwards(gravity: Vec3, camera: Vec3) -> Vec3 {
-    let up = if gravity == Vec3::ZERO {
-        camera
-    } else {
-        -gravity
-    };
+    let up = if gravity == Vec3::ZERO { camera } else { -gravity };
     let mut axis = Vec3::ZERO;
     let nearest = up.abs().max_position();
     axis[nearest] = 1.0_f32.copysign(up[nearest]);
@@ -486,17 +433,11 @@ fn round_length(length: f32) -> f32 {
 }
 
 pub(super) fn unreadable(path: &Path, problem: impl std::fmt::Display) -> Error {
-    Error::input(
-        path.display().to_string(),
-        problem.to_string(),
-        "give a folder that `cutwater run` wrote",
-    )
+    Error::input(path.display().to_string(), problem.to_string(), "give a folder that `cutwater run` wrote")
 }
 
 fn read_vtk(path: &Path) -> Result<DataSet, Error> {
-    Vtk::import(path)
-        .map(|vtk| vtk.data)
-        .map_err(|problem| unreadable(path, problem))
+    Vtk::import(path).map(|vtk| vtk.data).map_err(|problem| unreadable(path, problem))
 }
 
 pub(super) fn points(buffer: IOBuffer) -> Option<Vec<Vec3>> {
@@ -514,10 +455,7 @@ pub(super) fn array(attributes: &[Attribute], name: &str) -> Option<IOBuffer> {
 /// The liquid's surface of a frame file: stored, or reconstructed from markers or fields.
 fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error> {
     let missing = |what: &str| unreadable(path, format!("no {what}"));
-    let grid = Grid {
-        cells: manifest.cells,
-        dx: manifest.dx,
-    };
+    let grid = Grid { cells: manifest.cells, dx: manifest.dx };
     let surface = match read_vtk(path)? {
         DataSet::PolyData { pieces, .. } => {
             let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
@@ -525,23 +463,19 @@ fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error
             };
             let points = points(piece.points).ok_or_else(|| missing("f32 points"))?;
             if manifest.surfaces {
-                return surface_mesh(points, piece.polys, &piece.data)
-                    .ok_or_else(|| missing("surface"));
+                return surface_mesh(points, piece.polys, &piece.data).ok_or_else(|| missing("surface"));
             }
-            let settings = manifest
-                .surface
-                .map_or_else(SurfaceMesh::default, |record| SurfaceMesh {
-                    radius: record.radius,
-                    smoothing: record.smoothing,
-                });
+            let settings = manifest.surface.map_or_else(SurfaceMesh::default, |record| SurfaceMesh {
+                radius: record.radius,
+                smoothing: record.smoothing,
+            });
             LiquidSurface::from_markers(&points, &grid, &settings)
         }
         DataSet::ImageData { pieces, .. } => {
             let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
                 return Err(missing("inline data"));
             };
-            let phi =
-                array(&piece.data.cell, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
+            let phi = array(&piece.data.cell, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
             let phi = phi.filter(|phi| phi.len() == grid.n_cells());
             let phi = phi.ok_or_else(|| missing("liquid_distance for every cell"))?;
             if !manifest.level {
@@ -581,18 +515,11 @@ fn read_spray(path: &Path) -> Result<Vec<Vec3>, Error> {
     let points = points(piece.points).filter(|points| points.len() == spray.len());
     let points = points.ok_or_else(|| missing("f32 points"))?;
     let markers = points.into_iter().zip(spray);
-    Ok(markers
-        .filter(|(_, flies)| *flies != 0)
-        .map(|(x, _)| x)
-        .collect())
+    Ok(markers.filter(|(_, flies)| *flies != 0).map(|(x, _)| x).collect())
 }
 
 /// The stored mesh, if it is consistent.
-fn surface_mesh(
-    vertices: Vec<Vec3>,
-    polygons: Option<VertexNumbers>,
-    data: &Attributes,
-) -> Option<LiquidSurface> {
+fn surface_mesh(vertices: Vec<Vec3>, polygons: Option<VertexNumbers>, data: &Attributes) -> Option<LiquidSurface> {
     let Some(VertexNumbers::XML { connectivity, .. }) = polygons else {
         return None;
     };
@@ -601,11 +528,7 @@ fn surface_mesh(
     let whole = connectivity.iter().all(known) && normals.len() == vertices.len();
     let corners = connectivity.chunks_exact(3);
     let triangles = corners.map(|of| [0, 1, 2].map(|corner| of[corner] as u32));
-    whole.then(|| LiquidSurface {
-        triangles: triangles.collect(),
-        vertices,
-        normals,
-    })
+    whole.then(|| LiquidSurface { triangles: triangles.collect(), vertices, normals })
 }
 
 /// Triangles of all obstacles. The surface of a container has a negative volume.
@@ -629,12 +552,7 @@ fn read_obstacles(path: &Path) -> Result<Vec<Triangle>, Error> {
         let mut volumes: BTreeMap<i32, f64> = BTreeMap::new();
         let mut triangles = Vec::new();
         for (corners, owner) in connectivity.chunks_exact(3).zip(owners) {
-            let corner = |c: usize| {
-                points
-                    .get(corners[c] as usize)
-                    .copied()
-                    .ok_or_else(|| missing("such point"))
-            };
+            let corner = |c: usize| points.get(corners[c] as usize).copied().ok_or_else(|| missing("such point"));
             let corners = [corner(0)?, corner(1)?, corner(2)?];
             let [a, b, c] = corners.map(Vec3::as_dvec3);
             *volumes.entry(owner).or_default() += a.dot(b.cross(c)) / 6.0;
@@ -666,9 +584,8 @@ fn draw_domain(picture: &mut Picture, depths: &[f32], view: &View, domain: Vec3)
         };
         picture.line([a.0, a.1], [b.0, b.1], DARK, |t, x, y| {
             let depth = 1.0 / (1.0 / a.2 + (1.0 / b.2 - 1.0 / a.2) * t);
-            let shown = usize::try_from(y)
-                .ok()
-                .and_then(|y| depths.get(usize::try_from(x).ok()?.min(width - 1) + width * y));
+            let shown =
+                usize::try_from(y).ok().and_then(|y| depths.get(usize::try_from(x).ok()?.min(width - 1) + width * y));
             let hidden = shown.is_some_and(|&shown| depth > 1.004 * shown);
             if hidden { 0.10 } else { 0.55 }
         });
@@ -677,12 +594,7 @@ fn draw_domain(picture: &mut Picture, depths: &[f32], view: &View, domain: Vec3)
 
 /// Labels (m) of the floor grid along the two edges nearest to the eye.
 fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, scene: &PictureScene) {
-    let PictureScene {
-        domain,
-        up,
-        floor_lines,
-        ..
-    } = *scene;
+    let PictureScene { domain, up, floor_lines, .. } = *scene;
     let floor = domain.dot(up).min(0.0) * up;
     let [letter, line] = picture.font().extent(1).map(|pixels| pixels as f32);
     let [width, height] = view.size.map(|n| n as f32);
@@ -705,15 +617,11 @@ fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, scene: &Pictu
         let steps = (domain[axis] / floor_lines * (1.0 + 1e-5)) as usize;
         let texts = |step: usize| solids::label(step as f32 * floor_lines);
         let fits = |every: usize| {
-            let places: Option<Vec<Vec2>> = (0..=steps)
-                .step_by(every)
-                .map(|step| Some(place(step as f32 * floor_lines)?.0))
-                .collect();
+            let places: Option<Vec<Vec2>> =
+                (0..=steps).step_by(every).map(|step| Some(place(step as f32 * floor_lines)?.0)).collect();
             places.is_some_and(|places| {
                 places.windows(2).enumerate().all(|(pair, ends)| {
-                    let long = texts(pair * every)
-                        .len()
-                        .max(texts((pair + 1) * every).len());
+                    let long = texts(pair * every).len().max(texts((pair + 1) * every).len());
                     let apart = (ends[1] - ends[0]).abs();
                     apart.x > letter * (long as f32 + 1.0) || apart.y > 1.1 * line
                 })

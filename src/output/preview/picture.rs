@@ -18,11 +18,7 @@ const ANIMATION_WIDTH: usize = 640;
 pub(super) fn srgb(colour: Vec3) -> [u8; 3] {
     let byte = |x: f32| {
         let x = x.clamp(0.0, 1.0);
-        let encoded = if x <= 0.003_130_8 {
-            12.92 * x
-        } else {
-            1.055 * x.powf(1.0 / 2.4) - 0.055
-        };
+        let encoded = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
         (255.0 * encoded + 0.5) as u8
     };
     colour.to_array().map(byte)
@@ -55,9 +51,7 @@ impl Picture {
     pub(super) fn from_linear(size: [usize; 2], colours: &[Vec3]) -> Picture {
         let mut bytes = vec![0; 3 * colours.len()];
         let pixels = bytes.par_chunks_exact_mut(3).zip(colours);
-        pixels
-            .with_min_len(1024)
-            .for_each(|(bytes, &colour)| bytes.copy_from_slice(&srgb(colour)));
+        pixels.with_min_len(1024).for_each(|(bytes, &colour)| bytes.copy_from_slice(&srgb(colour)));
         Picture { size, bytes }
     }
 
@@ -70,18 +64,9 @@ impl Picture {
     pub(super) fn contrast(&self, x: usize, y: usize) -> i16 {
         let here = self.at(x, y);
         let [width, height] = self.size;
-        let neighbours = [
-            (x.max(1) - 1, y),
-            ((x + 1).min(width - 1), y),
-            (x, y.max(1) - 1),
-            (x, (y + 1).min(height - 1)),
-        ];
-        let to = |(x, y)| {
-            (0..3)
-                .map(|channel| (self.at(x, y)[channel] - here[channel]).abs())
-                .max()
-                .unwrap_or(0)
-        };
+        let neighbours =
+            [(x.max(1) - 1, y), ((x + 1).min(width - 1), y), (x, y.max(1) - 1), (x, (y + 1).min(height - 1))];
+        let to = |(x, y)| (0..3).map(|channel| (self.at(x, y)[channel] - here[channel]).abs()).max().unwrap_or(0);
         neighbours.into_iter().map(to).max().unwrap_or(0)
     }
 
@@ -91,45 +76,26 @@ impl Picture {
         if (0..width as i64).contains(&x) && (0..height as i64).contains(&y) {
             let start = 3 * (x as usize + width * y as usize);
             for (byte, colour) in self.bytes[start..start + 3].iter_mut().zip(colour) {
-                *byte =
-                    (f32::from(*byte) + (f32::from(colour) - f32::from(*byte)) * alpha + 0.5) as u8;
+                *byte = (f32::from(*byte) + (f32::from(colour) - f32::from(*byte)) * alpha + 0.5) as u8;
             }
         }
     }
 
     /// An antialiased line one pixel wide; `alpha` is its opacity at a fraction of its length and a pixel.
-    pub(super) fn line(
-        &mut self,
-        a: [f32; 2],
-        b: [f32; 2],
-        colour: [u8; 3],
-        alpha: impl Fn(f32, i64, i64) -> f32,
-    ) {
+    pub(super) fn line(&mut self, a: [f32; 2], b: [f32; 2], colour: [u8; 3], alpha: impl Fn(f32, i64, i64) -> f32) {
         let along = usize::from((b[1] - a[1]).abs() > (b[0] - a[0]).abs());
         let across = 1 - along;
-        let (a, b, turned) = if a[along] <= b[along] {
-            (a, b, false)
-        } else {
-            (b, a, true)
-        };
+        let (a, b, turned) = if a[along] <= b[along] { (a, b, false) } else { (b, a, true) };
         let length = b[along] - a[along];
         let first = a[along].max(0.0).round() as i64;
         let last = b[along].min(self.size[along] as f32).round() as i64;
         for step in first..last {
-            let t = if length > 0.0 {
-                ((step as f32 + 0.5 - a[along]) / length).clamp(0.0, 1.0)
-            } else {
-                0.0
-            };
+            let t = if length > 0.0 { ((step as f32 + 0.5 - a[along]) / length).clamp(0.0, 1.0) } else { 0.0 };
             let centre = a[across] + (b[across] - a[across]) * t - 0.5;
             let low = centre.floor();
             for (offset, weight) in [(0, 1.0 - (centre - low)), (1, centre - low)] {
                 let other = low as i64 + offset;
-                let (x, y) = if along == 0 {
-                    (step, other)
-                } else {
-                    (other, step)
-                };
+                let (x, y) = if along == 0 { (step, other) } else { (other, step) };
                 let strength = alpha(if turned { 1.0 - t } else { t }, x, y);
                 self.mix(x, y, colour, weight * strength);
             }
@@ -137,12 +103,7 @@ impl Picture {
     }
 
     /// Fills a rectangle from its upper left corner.
-    pub(super) fn fill(
-        &mut self,
-        [x, y]: [usize; 2],
-        [width, height]: [usize; 2],
-        colour: [u8; 3],
-    ) {
+    pub(super) fn fill(&mut self, [x, y]: [usize; 2], [width, height]: [usize; 2], colour: [u8; 3]) {
         for pixel in 0..width * height {
             let (x, y) = (x + pixel % width, y + pixel / width);
             self.mix(x as i64, y as i64, colour, 1.0);
@@ -155,21 +116,11 @@ impl Picture {
             450..900 => RasterHeight::Size24,
             _ => RasterHeight::Size32,
         };
-        Font {
-            height,
-            scale: (self.size[1] / 1440).max(1),
-        }
+        Font { height, scale: (self.size[1] / 1440).max(1) }
     }
 
     /// Draws a text from its upper left corner, where `seen` is true. Characters outside ASCII are blanks.
-    pub(super) fn text(
-        &mut self,
-        x: i64,
-        y: i64,
-        text: &str,
-        colour: [u8; 3],
-        seen: impl Fn(usize, usize) -> bool,
-    ) {
+    pub(super) fn text(&mut self, x: i64, y: i64, text: &str, colour: [u8; 3], seen: impl Fn(usize, usize) -> bool) {
         let font = self.font();
         let [width, _] = font.extent(1);
         for (place, letter) in (0_i64..).zip(text.chars()) {
@@ -196,8 +147,7 @@ impl Picture {
     pub(super) fn write(&self, path: &Path) -> Result<(), Error> {
         let mut bytes = Vec::new();
         let mut encode = || -> Result<(), png::EncodingError> {
-            let mut encoder =
-                png::Encoder::new(&mut bytes, self.size[0] as u32, self.size[1] as u32);
+            let mut encoder = png::Encoder::new(&mut bytes, self.size[0] as u32, self.size[1] as u32);
             encoder.set_color(png::ColorType::Rgb);
             encoder.set_depth(png::BitDepth::Eight);
             // The default takes a sixth of the time of a picture.
@@ -217,17 +167,14 @@ impl Picture {
             Error::input(path.display().to_string(), problem, cure)
         };
         let file = File::open(path).map_err(|problem| failed(problem.to_string()))?;
-        let mut reader = png::Decoder::new(BufReader::new(file))
-            .read_info()
-            .map_err(|problem| failed(problem.to_string()))?;
+        let mut reader =
+            png::Decoder::new(BufReader::new(file)).read_info().map_err(|problem| failed(problem.to_string()))?;
         let size = [reader.info().width as usize, reader.info().height as usize];
         let mut bytes = vec![0; 3 * size[0] * size[1]];
         if reader.output_buffer_size() != Some(bytes.len()) {
             return Err(failed("is not a picture of cutwater".to_owned()));
         }
-        reader
-            .next_frame(&mut bytes)
-            .map_err(|problem| failed(problem.to_string()))?;
+        reader.next_frame(&mut bytes).map_err(|problem| failed(problem.to_string()))?;
         Ok(Picture { size, bytes })
     }
 
@@ -263,10 +210,7 @@ impl Picture {
                     let sum: i32 = (0..factor * factor)
                         .map(|pixel| {
                             let at = [x * factor + pixel % factor, y * factor + pixel / factor];
-                            i32::from(
-                                self.at(at[0].min(self.size[0] - 1), at[1].min(self.size[1] - 1))
-                                    [channel],
-                            )
+                            i32::from(self.at(at[0].min(self.size[0] - 1), at[1].min(self.size[1] - 1))[channel])
                         })
                         .sum();
                     let n = (factor * factor) as i32;
@@ -287,15 +231,11 @@ pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Er
     let failed = |problem: png::EncodingError| Error::output(path, problem);
     let mut bytes = Vec::new();
     let mut before = Picture::read(first)?.reduced();
-    let mut writer = before
-        .animation(&mut bytes, pictures.len(), fraction(*seconds))
-        .map_err(failed)?;
+    let mut writer = before.animation(&mut bytes, pictures.len(), fraction(*seconds)).map_err(failed)?;
     for (picture, seconds) in &pictures[1..] {
         let now = Picture::read(picture)?.reduced();
         let patch = patch(Some(&before), &now);
-        patch
-            .write(&mut writer, fraction(*seconds))
-            .map_err(failed)?;
+        patch.write(&mut writer, fraction(*seconds)).map_err(failed)?;
         before = now;
     }
     writer.finish().map_err(failed)?;
@@ -316,23 +256,19 @@ pub(super) fn animate_gif(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<()
         let [width, height] = picture.size.map(|n| n as u16);
         // Ends are rounded, so that the animation keeps the speed of the run.
         time += 100.0 * seconds;
-        let delay = ((time.round() as u64).saturating_sub(shown))
-            .clamp(SHORTEST_DELAY.into(), u16::MAX.into());
+        let delay = ((time.round() as u64).saturating_sub(shown)).clamp(SHORTEST_DELAY.into(), u16::MAX.into());
         shown += delay;
         // Speed 10 of 1 to 30: the quantizer samples a tenth of the pixels.
         let mut frame = gif::Frame::from_rgb_speed(width, height, &picture.bytes, 10);
         frame.delay = delay as u16;
         if let Some(bytes) = unused.take() {
-            let mut new = gif::Encoder::new(bytes, width, height, &[])
-                .map_err(|problem| Error::output(path, problem))?;
-            new.set_repeat(gif::Repeat::Infinite)
-                .map_err(|problem| Error::output(path, problem))?;
+            let mut new =
+                gif::Encoder::new(bytes, width, height, &[]).map_err(|problem| Error::output(path, problem))?;
+            new.set_repeat(gif::Repeat::Infinite).map_err(|problem| Error::output(path, problem))?;
             encoder = Some(new);
         }
         if let Some(encoder) = &mut encoder {
-            encoder
-                .write_frame(&frame)
-                .map_err(|problem| Error::output(path, problem))?;
+            encoder.write_frame(&frame).map_err(|problem| Error::output(path, problem))?;
         }
     }
     // Writes the trailer.
@@ -426,11 +362,7 @@ fn patch(before: Option<&Picture>, now: &Picture) -> Patch {
             }
         }
     }
-    Patch {
-        at: low,
-        size,
-        bytes,
-    }
+    Patch { at: low, size, bytes }
 }
 
 #[cfg(test)]
@@ -439,9 +371,7 @@ mod tests {
 
     #[test]
     fn delays_are_exact_fractions() {
-        for rate in [
-            1.0, 12.0, 24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 384.0, 1000.0,
-        ] {
+        for rate in [1.0, 12.0, 24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 384.0, 1000.0] {
             assert_eq!(fraction(1.0 / rate), [1, rate as u16], "{rate} frames/s");
         }
         assert_eq!(fraction(1001.0 / 30_000.0), [1001, 30_000]);

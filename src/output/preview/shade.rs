@@ -75,12 +75,7 @@ const SAME_PLANE: f32 = 1e-5;
 const EDGE: i16 = 10;
 
 /// Supersampling positions: a rotated 2x2 grid.
-const OFFSETS: [(f32, f32); 4] = [
-    (-0.125, -0.375),
-    (0.375, -0.125),
-    (0.125, 0.375),
-    (-0.375, 0.125),
-];
+const OFFSETS: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
 
 pub(super) struct View {
     pub(super) eye: Vec3,
@@ -95,19 +90,10 @@ pub(super) struct View {
 impl View {
     pub(super) fn new(pose: &CameraKeyframe, up: DVec3, size: [usize; 2]) -> View {
         let forward = (pose.target - pose.eye).as_vec3().normalize_or(-Vec3::Z);
-        let right = forward
-            .cross(up.as_vec3())
-            .normalize_or(forward.any_orthonormal_vector());
+        let right = forward.cross(up.as_vec3()).normalize_or(forward.any_orthonormal_vector());
         let eye = pose.eye.as_vec3();
         let scale = (0.5 * pose.fov.to_radians()).tan() as f32;
-        View {
-            eye,
-            forward,
-            right,
-            up: right.cross(forward),
-            scale,
-            size,
-        }
+        View { eye, forward, right, up: right.cross(forward), scale, size }
     }
 
     /// Width of a pixel at distance 1.
@@ -119,15 +105,10 @@ impl View {
     fn direction(&self, x: f32, y: f32) -> Vec3 {
         let [width, height] = self.size.map(|n| n as f32);
         let unit = 2.0 * self.scale / height;
-        let direction = self.forward + self.right * ((x - 0.5 * width) * unit)
-            - self.up * ((y - 0.5 * height) * unit);
+        let direction = self.forward + self.right * ((x - 0.5 * width) * unit) - self.up * ((y - 0.5 * height) * unit);
         // Avoids zero components, whose reciprocals are infinite.
         let direction = direction.normalize();
-        Vec3::select(
-            direction.abs().cmplt(Vec3::splat(1e-12)),
-            Vec3::splat(1e-12),
-            direction,
-        )
+        Vec3::select(direction.abs().cmplt(Vec3::splat(1e-12)), Vec3::splat(1e-12), direction)
     }
 
     /// Pixel and depth of a point in front of the eye.
@@ -136,13 +117,8 @@ impl View {
         let depth = offset.dot(self.forward);
         let [width, height] = self.size.map(|n| n as f32);
         let unit = 0.5 * height / (self.scale * depth);
-        (depth > 1e-6).then(|| {
-            (
-                0.5 * width + offset.dot(self.right) * unit,
-                0.5 * height - offset.dot(self.up) * unit,
-                depth,
-            )
-        })
+        (depth > 1e-6)
+            .then(|| (0.5 * width + offset.dot(self.right) * unit, 0.5 * height - offset.dot(self.up) * unit, depth))
     }
 
     /// Depth of a point on a ray.
@@ -192,16 +168,10 @@ impl PictureScene {
     /// The picture and the depth of each pixel.
     pub(super) fn render(&self, view: &View) -> (Picture, Vec<f32>) {
         let [width, height] = view.size;
-        let submerged = self
-            .liquid
-            .as_ref()
-            .is_some_and(|liquid| liquid.contains(view.eye));
+        let submerged = self.liquid.as_ref().is_some_and(|liquid| liquid.contains(view.eye));
         let mut depths = vec![f32::INFINITY; width * height];
         let mut colours = vec![Vec3::ZERO; width * height];
-        let rows = colours
-            .par_chunks_mut(width)
-            .zip(depths.par_chunks_mut(width))
-            .enumerate();
+        let rows = colours.par_chunks_mut(width).zip(depths.par_chunks_mut(width)).enumerate();
         rows.for_each(|(y, (colours, depths))| {
             for (x, (colour, depth)) in colours.iter_mut().zip(depths).enumerate() {
                 (*colour, *depth) = self.trace(view, submerged, x as f32 + 0.5, y as f32 + 0.5);
@@ -213,10 +183,8 @@ impl PictureScene {
             .filter(|&pixel| once.contrast(pixel % width, pixel / width) > EDGE)
             .map(|pixel| {
                 let (x, y) = ((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5);
-                let sum: Vec3 = OFFSETS
-                    .iter()
-                    .map(|&(dx, dy)| clip(self.trace(view, submerged, x + dx, y + dy).0))
-                    .sum();
+                let sum: Vec3 =
+                    OFFSETS.iter().map(|&(dx, dy)| clip(self.trace(view, submerged, x + dx, y + dy).0)).sum();
                 (pixel, sum / OFFSETS.len() as f32)
             })
             .collect();
@@ -236,19 +204,13 @@ impl PictureScene {
         let before = limit - SAME_PLANE * self.domain.length();
         let entry = self.liquid.as_ref().and_then(|liquid| {
             let entry = match submerged {
-                true => Some(Entry {
-                    t: 0.0,
-                    normal: -direction,
-                }),
+                true => Some(Entry { t: 0.0, normal: -direction }),
                 false => liquid.entry(view.eye, direction, before),
             };
             Some((liquid, entry?))
         });
         let Some((liquid, entry)) = entry else {
-            return (
-                self.colour(view.eye, direction, nearest),
-                view.depth(direction, limit),
-            );
+            return (self.colour(view.eye, direction, nearest), view.depth(direction, limit));
         };
 
         let at = view.eye + direction * entry.t;
@@ -266,8 +228,8 @@ impl PictureScene {
         let inside = at + bent * (0.25 * length).min(0.04 * depth_unit);
         let above = liquid.length(inside, self.sun, f32::INFINITY);
         let facing = 0.35 + 0.65 * normal.dot(self.sun).max(0.0);
-        let light = transmittance(above / depth_unit) * SUN * facing * 1.5
-            + AMBIENT * (0.8 + 0.2 * normal.dot(self.up));
+        let light =
+            transmittance(above / depth_unit) * SUN * facing * 1.5 + AMBIENT * (0.8 + 0.2 * normal.dot(self.up));
         let scattered = DEEP * light * (Vec3::ONE - through) * 1.6;
 
         let mirrored = direction + normal * (2.0 * cosine);
@@ -293,19 +255,10 @@ impl PictureScene {
 
     /// First intersection with obstacles, solids or floor.
     fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<Intersection> {
-        let floor = self
-            .floor_distance(origin, direction)
-            .map(|t| Intersection {
-                t,
-                target: Target::Floor,
-            });
+        let floor = self.floor_distance(origin, direction).map(|t| Intersection { t, target: Target::Floor });
         let limit = floor.as_ref().map_or(f32::INFINITY, |floor| floor.t);
         let hit = self.body(origin, direction, limit);
-        hit.map(|hit| Intersection {
-            t: hit.t,
-            target: Target::Body(hit),
-        })
-        .or(floor)
+        hit.map(|hit| Intersection { t: hit.t, target: Target::Body(hit) }).or(floor)
     }
 
     /// First intersection with obstacles or solids before `limit`.
@@ -334,9 +287,7 @@ impl PictureScene {
                 let facing = hit.normal.dot(self.sun);
                 return CONTAINER * (AMBIENT + SUN * (0.35 + 0.25 * facing));
             }
-            Owner::Solid(number) => {
-                self.appearances[number].colour(&self.scale, hit, self.pixel * hit.t)
-            }
+            Owner::Solid(number) => self.appearances[number].colour(&self.scale, hit, self.pixel * hit.t),
             Owner::Obstacle | Owner::Liquid(_) => OBSTACLE,
         };
         base * self.light(at, hit.normal)
@@ -366,11 +317,7 @@ impl PictureScene {
                 base *= 1.0 - 0.14 * line * (1.0 - smooth(0.05, 0.4, width / self.floor_lines));
             }
         }
-        let light = if fade < 1.0 {
-            self.light(at, self.up)
-        } else {
-            SUN
-        };
+        let light = if fade < 1.0 { self.light(at, self.up) } else { SUN };
         (base * light).lerp(self.sky(direction), fade)
     }
 
@@ -380,11 +327,7 @@ impl PictureScene {
         let start = at + normal * (1e-4 * extent);
         let facing = normal.dot(self.sun).max(0.0);
         let mut sun = Vec3::ZERO;
-        let seen = if facing > 0.0 {
-            self.sun_seen(start)
-        } else {
-            0.0
-        };
+        let seen = if facing > 0.0 { self.sun_seen(start) } else { 0.0 };
         if seen > 0.0 {
             let liquid = self.liquid.as_ref();
             let length = liquid.map_or(0.0, |liquid| liquid.length(start, self.sun, f32::INFINITY));
@@ -397,8 +340,7 @@ impl PictureScene {
 
     /// Whether a body intersects a ray before `limit`.
     fn shaded(&self, start: Vec3, direction: Vec3, limit: f32) -> bool {
-        self.obstacles.shades(start, direction, limit)
-            || self.solids.shades(start, direction, limit)
+        self.obstacles.shades(start, direction, limit) || self.solids.shades(start, direction, limit)
     }
 
     /// Whether a bounding ball (centre, radius) of the obstacles or of the solids passes a test.
@@ -463,15 +405,9 @@ fn transmittance(length: f32) -> Vec3 {
 /// Direction of refracted light from air into liquid.
 fn refract(direction: Vec3, normal: Vec3, cosine: f32) -> Vec3 {
     let ratio = 1.0 / REFRACTION;
-    let inner = (1.0 - ratio * ratio * (1.0 - cosine * cosine))
-        .max(0.0)
-        .sqrt();
+    let inner = (1.0 - ratio * ratio * (1.0 - cosine * cosine)).max(0.0).sqrt();
     let bent = direction * ratio + normal * (ratio * cosine - inner);
-    Vec3::select(
-        bent.abs().cmplt(Vec3::splat(1e-12)),
-        Vec3::splat(1e-12),
-        bent.normalize(),
-    )
+    Vec3::select(bent.abs().cmplt(Vec3::splat(1e-12)), Vec3::splat(1e-12), bent.normalize())
 }
 
 fn smooth(low: f32, high: f32, x: f32) -> f32 {

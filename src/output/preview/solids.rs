@@ -13,14 +13,10 @@ use crate::Error;
 use crate::geometry::TetMesh;
 
 /// Colours of bodies, sRGB, in the order of the scene, repeated.
-const BODIES: [u32; 8] = [
-    0x2fa58b, 0xd9534f, 0xe8b73a, 0x7f6bc7, 0x5aa5d6, 0x9bbf4b, 0xd17fb0, 0x9a8478,
-];
+const BODIES: [u32; 8] = [0x2fa58b, 0xd9534f, 0xe8b73a, 0x7f6bc7, 0x5aa5d6, 0x9bbf4b, 0xd17fb0, 0x9a8478];
 /// Colours of stress from 0 to the largest: viridis, sRGB.
-const STRESS: [u32; 10] = [
-    0x440154, 0x482878, 0x3e4989, 0x31688e, 0x26828e, 0x1f9e89, 0x35b779, 0x6ece58, 0xb5de2b,
-    0xfde725,
-];
+const STRESS: [u32; 10] =
+    [0x440154, 0x482878, 0x3e4989, 0x31688e, 0x26828e, 0x1f9e89, 0x35b779, 0x6ece58, 0xb5de2b, 0xfde725];
 /// Colours of det F from compressed (below 1) to expanded (above 1), sRGB.
 const VOLUME: [u32; 5] = [0x2166ac, 0x92c5de, 0xf2f2f2, 0xf4a582, 0xb2182b];
 /// Colour of inverted elements, det F <= 0.
@@ -58,16 +54,12 @@ impl SolidFrame {
         let VertexNumbers::XML { connectivity, .. } = piece.cells.cell_verts else {
             return Err(missing("tetrahedra"));
         };
-        let known = connectivity
-            .iter()
-            .all(|&node| (node as usize) < nodes.len());
+        let known = connectivity.iter().all(|&node| (node as usize) < nodes.len());
         if !known || connectivity.len() % 4 != 0 {
             return Err(missing("such node"));
         }
-        let elements: Vec<[u32; 4]> = connectivity
-            .chunks_exact(4)
-            .map(|corners| [0, 1, 2, 3].map(|c| corners[c] as u32))
-            .collect();
+        let elements: Vec<[u32; 4]> =
+            connectivity.chunks_exact(4).map(|corners| [0, 1, 2, 3].map(|c| corners[c] as u32)).collect();
         let body = array(&piece.data.cell, "solid").and_then(IOBuffer::into_vec);
         let values = match colour.field() {
             Some(field) => array(&piece.data.cell, field).and_then(IOBuffer::into_vec),
@@ -81,11 +73,7 @@ impl SolidFrame {
         };
         let n = frame.elements.len();
         let whole = frame.body.len() == n && (frame.values.len() == n || colour == Colour::Solid);
-        if whole {
-            Ok(frame)
-        } else {
-            Err(missing("values of all tetrahedra"))
-        }
+        if whole { Ok(frame) } else { Err(missing("values of all tetrahedra")) }
     }
 }
 
@@ -106,18 +94,10 @@ pub(super) struct Appearance {
 
 impl SolidSurface {
     pub(super) fn none() -> SolidSurface {
-        SolidSurface {
-            elements: Vec::new(),
-            triangles: Vec::new(),
-            behind: Vec::new(),
-        }
+        SolidSurface { elements: Vec::new(), triangles: Vec::new(), behind: Vec::new() }
     }
 
-    pub(super) fn coloured(
-        &mut self,
-        frame: &SolidFrame,
-        colour: Colour,
-    ) -> (Triangles, Vec<Appearance>) {
+    pub(super) fn coloured(&mut self, frame: &SolidFrame, colour: Colour) -> (Triangles, Vec<Appearance>) {
         if self.elements != frame.elements {
             *self = SolidSurface::new(frame);
         }
@@ -144,18 +124,15 @@ impl SolidSurface {
     }
 
     fn new(frame: &SolidFrame) -> SolidSurface {
-        let mesh = TetMesh {
-            nodes: frame.nodes.iter().map(|x| x.as_dvec3()).collect(),
-            elements: frame.elements.clone(),
-        };
+        let mesh =
+            TetMesh { nodes: frame.nodes.iter().map(|x| x.as_dvec3()).collect(), elements: frame.elements.clone() };
         let triangles = mesh.surface();
         let sorted = |mut corners: [u32; 3]| {
             corners.sort_unstable();
             corners
         };
         let place = (0..).zip(&triangles);
-        let place: HashMap<[u32; 3], usize> =
-            place.map(|(at, &corners)| (sorted(corners), at)).collect();
+        let place: HashMap<[u32; 3], usize> = place.map(|(at, &corners)| (sorted(corners), at)).collect();
         let mut behind = vec![0; triangles.len()];
         for (element, [a, b, c, d]) in frame.elements.iter().copied().enumerate() {
             for face in [[a, b, c], [a, b, d], [a, c, d], [b, c, d]] {
@@ -164,11 +141,7 @@ impl SolidSurface {
                 }
             }
         }
-        SolidSurface {
-            elements: mesh.elements,
-            triangles,
-            behind,
-        }
+        SolidSurface { elements: mesh.elements, triangles, behind }
     }
 }
 
@@ -195,10 +168,7 @@ pub(super) enum Scale {
 
 impl Scale {
     /// The scale of all drawn frames, so that colours are comparable.
-    pub(super) fn over<'a>(
-        colour: Colour,
-        files: impl Iterator<Item = &'a Path>,
-    ) -> Result<Scale, Error> {
+    pub(super) fn over<'a>(colour: Colour, files: impl Iterator<Item = &'a Path>) -> Result<Scale, Error> {
         if colour == Colour::Solid {
             return Ok(Scale::Bodies);
         }
@@ -276,10 +246,7 @@ impl Appearance {
         let area = (b - a).cross(c - a).length();
         let heights = [c - b, a - c, b - a].map(|side| area / side.length().max(f32::MIN_POSITIVE));
         let least = heights.into_iter().fold(f32::INFINITY, f32::min) / pixel;
-        let away = (0..3)
-            .map(|corner| hit.weights[corner] * heights[corner])
-            .fold(f32::INFINITY, f32::min)
-            / pixel;
+        let away = (0..3).map(|corner| hit.weights[corner] * heights[corner]).fold(f32::INFINITY, f32::min) / pixel;
         let strength = ((least - SIDES[0]) / (SIDES[1] - SIDES[0])).clamp(0.0, 1.0);
         base * (1.0 - SIDE_DARKNESS * strength * (1.2 - away).clamp(0.0, 1.0))
     }
@@ -289,11 +256,7 @@ impl Appearance {
 fn linear(code: u32) -> Vec3 {
     let channel = |shift: u32| {
         let x = (code >> shift & 0xff) as f32 / 255.0;
-        if x <= 0.04045 {
-            x / 12.92
-        } else {
-            ((x + 0.055) / 1.055).powf(2.4)
-        }
+        if x <= 0.04045 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
     };
     Vec3::new(channel(16), channel(8), channel(0))
 }
@@ -317,9 +280,5 @@ fn round_up(value: f32) -> f32 {
 pub(super) fn label(value: f32) -> String {
     // Rounds off binary digits such as those of 1 - 0.2.
     let value: f64 = format!("{value:.2e}").parse().unwrap_or_default();
-    if value == 0.0 || (1e-2..1e4).contains(&value.abs()) {
-        format!("{value}")
-    } else {
-        format!("{value:e}")
-    }
+    if value == 0.0 || (1e-2..1e4).contains(&value.abs()) { format!("{value}") } else { format!("{value:e}") }
 }

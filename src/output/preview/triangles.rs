@@ -81,11 +81,7 @@ impl Triangles {
         if !triangles.is_empty() {
             build(&mut triangles, 0, &mut nodes);
         }
-        Triangles {
-            cut: None,
-            triangles,
-            nodes,
-        }
+        Triangles { cut: None, triangles, nodes }
     }
 
     pub(super) fn without(self, cut: Option<HalfSpace>) -> Triangles {
@@ -94,9 +90,7 @@ impl Triangles {
 
     /// First visible intersection before `limit`, possibly with the cut face of a body.
     pub(super) fn hit(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
-        let face = self
-            .cut
-            .and_then(|cut| self.cut_face(&cut, origin, direction, limit));
+        let face = self.cut.and_then(|cut| self.cut_face(&cut, origin, direction, limit));
         let limit = face.as_ref().map_or(limit, |face| face.t);
         self.surface(self.cut, origin, direction, limit).or(face)
     }
@@ -112,22 +106,11 @@ impl Triangles {
         let behind = self.surface(None, origin + direction * t, direction, f32::INFINITY)?;
         let [a, b, c] = behind.corners;
         let from_inside = (b - a).cross(c - a).dot(direction) > 0.0;
-        from_inside.then_some(Hit {
-            t,
-            normal: cut.normal,
-            weights: [1.0 / 3.0; 3],
-            ..behind
-        })
+        from_inside.then_some(Hit { t, normal: cut.normal, weights: [1.0 / 3.0; 3], ..behind })
     }
 
     /// First visible intersection before `limit` outside the cut half space.
-    fn surface(
-        &self,
-        cut: Option<HalfSpace>,
-        origin: Vec3,
-        direction: Vec3,
-        limit: f32,
-    ) -> Option<Hit> {
+    fn surface(&self, cut: Option<HalfSpace>, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
         let gone = |t: f32| cut.is_some_and(|cut| cut.contains(origin + direction * t));
         let mut nearest: Option<Hit> = None;
         self.walk(origin, direction, limit, |triangle, limit| {
@@ -165,9 +148,7 @@ impl Triangles {
             }
             limit
         });
-        crossings.sort_unstable_by(|(a, entering_a), (b, entering_b)| {
-            a.total_cmp(b).then(entering_a.cmp(entering_b))
-        });
+        crossings.sort_unstable_by(|(a, entering_a), (b, entering_b)| a.total_cmp(b).then(entering_a.cmp(entering_b)));
         crossings
     }
 
@@ -212,10 +193,7 @@ impl Triangles {
             waiting -= 1;
             let index = stack[waiting];
             let node = &self.nodes[index];
-            let (low, high) = (
-                (node.low - origin) * inverse,
-                (node.high - origin) * inverse,
-            );
+            let (low, high) = ((node.low - origin) * inverse, (node.high - origin) * inverse);
             let (near, far) = (low.min(high).max_element(), low.max(high).min_element());
             if near > far || far < 0.0 || near > limit {
                 continue;
@@ -241,31 +219,13 @@ fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
     let high = corners().fold(Vec3::NEG_INFINITY, Vec3::max);
     let index = nodes.len();
     if triangles.len() <= LEAF {
-        nodes.push(Node {
-            low,
-            high,
-            next: first,
-            count: triangles.len(),
-            axis: 0,
-        });
+        nodes.push(Node { low, high, next: first, count: triangles.len(), axis: 0 });
         return;
     }
     let axis = (high - low).max_position();
-    nodes.push(Node {
-        low,
-        high,
-        next: 0,
-        count: 0,
-        axis,
-    });
+    nodes.push(Node { low, high, next: 0, count: 0, axis });
     let middle = triangles.len() / 2;
-    let centre = |triangle: &Triangle| {
-        triangle
-            .corners
-            .iter()
-            .map(|corner| corner[axis])
-            .sum::<f32>()
-    };
+    let centre = |triangle: &Triangle| triangle.corners.iter().map(|corner| corner[axis]).sum::<f32>();
     triangles.select_nth_unstable_by(middle, |a, b| centre(a).total_cmp(&centre(b)));
     let (left, right) = triangles.split_at_mut(middle);
     build(left, first, nodes);
@@ -274,12 +234,7 @@ fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
 }
 
 /// Distance along a ray and barycentric coordinates.
-fn intersect(
-    triangle: &Triangle,
-    origin: Vec3,
-    direction: Vec3,
-    limit: f32,
-) -> Option<(f32, [f32; 3])> {
+fn intersect(triangle: &Triangle, origin: Vec3, direction: Vec3, limit: f32) -> Option<(f32, [f32; 3])> {
     let [a, b, c] = triangle.corners;
     let (ab, ac) = (b - a, c - a);
     let across = direction.cross(ac);

@@ -52,13 +52,7 @@ impl Animation {
         if !texture.is_empty() {
             // From the upper left corner in glTF.
             let uv: Vec<f32> = texture.iter().flat_map(|&[u, v]| [u, 1.0 - v]).collect();
-            let uv = file.push(
-                bytemuck::cast_slice(&uv),
-                ComponentType::F32,
-                Type::Vec2,
-                texture.len(),
-                VERTICES,
-            );
+            let uv = file.push(bytemuck::cast_slice(&uv), ComponentType::F32, Type::Vec2, texture.len(), VERTICES);
             attributes.insert(Valid(Semantic::TexCoords(0)), uv);
         }
         let corners: &[u32] = bytemuck::cast_slice(triangles);
@@ -97,43 +91,22 @@ impl Animation {
             }],
             weights: (n_targets > 0).then(|| vec![0.0; n_targets]),
         });
-        let node = root.push(json::Node {
-            mesh: Some(mesh),
-            name: Some(name.to_owned()),
-            ..json::Node::default()
-        });
-        let scene = root.push(json::Scene {
-            extensions: None,
-            extras: Default::default(),
-            name: None,
-            nodes: vec![node],
-        });
+        let node = root.push(json::Node { mesh: Some(mesh), name: Some(name.to_owned()), ..json::Node::default() });
+        let scene =
+            root.push(json::Scene { extensions: None, extras: Default::default(), name: None, nodes: vec![node] });
         root.scene = Some(scene);
         if n_targets > 0 {
             let n = self.times.len();
-            let input = file.push(
-                bytemuck::cast_slice(&self.times),
-                ComponentType::F32,
-                Type::Scalar,
-                n,
-                None,
-            );
-            let [first, .., last] = self.times[..] else {
-                unreachable!("a frame and a target")
-            };
+            let input = file.push(bytemuck::cast_slice(&self.times), ComponentType::F32, Type::Scalar, n, None);
+            let [first, .., last] = self.times[..] else { unreachable!("a frame and a target") };
             file.accessors[input.value()].min = Some(vec![first].into());
             file.accessors[input.value()].max = Some(vec![last].into());
             let mut weights = vec![0.0_f32; n * n_targets];
             for frame in 1..n {
                 weights[frame * n_targets + frame - 1] = 1.0;
             }
-            let output = file.push(
-                bytemuck::cast_slice(&weights),
-                ComponentType::F32,
-                Type::Scalar,
-                weights.len(),
-                None,
-            );
+            let output =
+                file.push(bytemuck::cast_slice(&weights), ComponentType::F32, Type::Scalar, weights.len(), None);
             root.animations.push(json::Animation {
                 extensions: None,
                 extras: Default::default(),
@@ -158,11 +131,7 @@ impl Animation {
                 }],
             });
         }
-        let Builder {
-            accessors,
-            views,
-            data,
-        } = file;
+        let Builder { accessors, views, data } = file;
         root.accessors = accessors;
         root.buffer_views = views;
         root.buffers.push(json::Buffer {
@@ -172,8 +141,7 @@ impl Animation {
             extensions: None,
             extras: Default::default(),
         });
-        let text =
-            json::serialize::to_vec(&root).map_err(|problem| Error::output(path, problem))?;
+        let text = json::serialize::to_vec(&root).map_err(|problem| Error::output(path, problem))?;
         // Chunks and file have 32-bit lengths.
         if data.len() + text.len() + 64 > u32::MAX as usize {
             let problem = "the animation has more than 4 GiB, the limit of glTF; use the .ply files, or a coarser mesh";
@@ -189,9 +157,7 @@ impl Animation {
             json: Cow::Owned(text),
             bin: Some(Cow::Owned(data)),
         };
-        let bytes = glb
-            .to_vec()
-            .map_err(|problem| Error::output(path, problem))?;
+        let bytes = glb.to_vec().map_err(|problem| Error::output(path, problem))?;
         write_atomically(path, &bytes)
     }
 }
@@ -246,18 +212,10 @@ impl Builder {
 
     /// Vectors of the vertices; positions need their bounds.
     fn vectors(&mut self, values: &[Vec3], bounded: bool) -> Index<Accessor> {
-        let index = self.push(
-            bytemuck::cast_slice(values),
-            ComponentType::F32,
-            Type::Vec3,
-            values.len(),
-            VERTICES,
-        );
+        let index = self.push(bytemuck::cast_slice(values), ComponentType::F32, Type::Vec3, values.len(), VERTICES);
         if bounded {
             let infinite = [Vec3::INFINITY, Vec3::NEG_INFINITY];
-            let [low, high] = values
-                .iter()
-                .fold(infinite, |[low, high], &x| [low.min(x), high.max(x)]);
+            let [low, high] = values.iter().fold(infinite, |[low, high], &x| [low.min(x), high.max(x)]);
             let accessor = &mut self.accessors[index.value()];
             accessor.min = Some(low.to_array().to_vec().into());
             accessor.max = Some(high.to_array().to_vec().into());

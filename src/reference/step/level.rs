@@ -7,11 +7,10 @@ use crate::geometry::MARKERS_PER_CELL;
 use crate::reference::level_cells::in_cells;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
-    ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide,
-    add_excess, add_sources, advect_level, advect_level_markers, balance, bound_level,
-    closed_to_markers, component_origins, emit_markers, empty_level_sinks, excess, extend_level,
-    fill_sources, filter_level, interpolant_part, land, limit_targets, liquid_components,
-    marker_band, move_spray_volume, occupancy, open_volumes, outflow, redistance, remove_volumes,
+    ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
+    advect_level, advect_level_markers, balance, bound_level, closed_to_markers, component_origins, emit_markers,
+    empty_level_sinks, excess, extend_level, fill_sources, filter_level, interpolant_part, land, limit_targets,
+    liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow, redistance, remove_volumes,
     renewed_volume, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
@@ -55,10 +54,7 @@ impl State {
 
 impl SubStep<'_> {
     fn cells(&self) -> LevelCells<'_> {
-        LevelCells {
-            grid: &self.model.grid,
-            cut: self.boundary.cut_cells(),
-        }
+        LevelCells { grid: &self.model.grid, cut: self.boundary.cut_cells() }
     }
 
     /// Open volumes of the cells, m^3.
@@ -148,18 +144,14 @@ impl SubStep<'_> {
         let mut carried = advect_level(grid, open, &before.velocity, &ballistic, &level, dt);
         let open_volumes = self.open_volumes();
         let results = &mut self.results.level;
-        results.first_fill =
-            fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
+        results.first_fill = fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
         let apertures = &self.boundary.cut_cells().open;
         let left = outflow(grid, open, apertures, &before.velocity, &level, dt);
         let sunk = sunk_volumes(&model.taps, &open_volumes, &level, &carried);
         empty_level_sinks(&model.taps, &mut carried);
         results.carried = carried;
         for (volumes, removed) in [left, sunk].iter().zip(&mut results.removed) {
-            *removed += volumes
-                .iter()
-                .map(|&(_, volume): &CellVolume| volume)
-                .sum::<f64>();
+            *removed += volumes.iter().map(|&(_, volume): &CellVolume| volume).sum::<f64>();
             remove_volumes(&before.component, volumes, &mut results.volume_before);
         }
     }
@@ -188,12 +180,7 @@ impl SubStep<'_> {
 
     pub(super) fn filter_level(&mut self) {
         let level = &self.results.level;
-        self.results.level.level = filter_level(
-            self.cells(),
-            &level.thin,
-            self.time_step.motion,
-            &level.level,
-        );
+        self.results.level.level = filter_level(self.cells(), &level.thin, self.time_step.motion, &level.level);
     }
 
     pub(super) fn level_distance(&mut self) {
@@ -220,11 +207,8 @@ impl SubStep<'_> {
             _ => open_volumes[cell] * interpolant_part(grid, &level, cell),
         };
         let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
-        let old = Before {
-            label: &before.component,
-            velocity: &before.velocity,
-            ballistic: self.ballistic(&filled_before),
-        };
+        let old =
+            Before { label: &before.component, velocity: &before.velocity, ballistic: self.ballistic(&filled_before) };
         let origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
         let volume_0 = &self.results.level.volume_before;
         let mut targets = shared_volumes(volume_0, &origins, &components, &volumes);
@@ -261,35 +245,19 @@ impl SubStep<'_> {
         let components = &self.results.level.components;
         let after = &mut self.after;
         let (targets, distance) = (&after.component_volume, &mut after.liquid_distance);
-        volume_shift(
-            &self.model.grid,
-            &open_volumes,
-            components,
-            targets,
-            times,
-            distance,
-        );
+        volume_shift(&self.model.grid, &open_volumes, components, targets, times, distance);
     }
 
     pub(super) fn excess(&mut self) {
         let level = &self.results.level;
-        let excess = excess(
-            self.cells(),
-            &level.components,
-            level.renewed,
-            &level.occupancy,
-            &self.level_after(),
-        );
+        let excess = excess(self.cells(), &level.components, level.renewed, &level.occupancy, &self.level_after());
         self.results.level.excess = excess;
     }
 
     pub(super) fn marker_band(&mut self) {
         let mut markers = self.after.take_markers();
         let level = &self.results.level;
-        let levels = Levels {
-            carried: &level.carried,
-            level: &self.level_after(),
-        };
+        let levels = Levels { carried: &level.carried, level: &self.level_after() };
         marker_band(
             &self.model.grid,
             &self.boundary.cut_cells().solid_distance,
@@ -309,21 +277,12 @@ impl SubStep<'_> {
         if !landed.is_empty() {
             let level = self.level_after();
             let open_volumes = self.open_volumes();
-            let volume = |cell| {
-                open_volumes[cell] / grid.cell_volume() * interpolant_part(grid, &level, cell)
-            };
+            let volume = |cell| open_volumes[cell] / grid.cell_volume() * interpolant_part(grid, &level, cell);
             let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
             let open = &self.boundary.cut_cells().open;
             let (dt, after) = (self.time_step.dt, &mut self.after);
             let liquid = (&*after.liquid_distance, &*volumes);
-            take_landing(
-                grid,
-                open,
-                liquid,
-                (&markers, &landed),
-                dt,
-                &mut after.velocity,
-            );
+            take_landing(grid, open, liquid, (&markers, &landed), dt, &mut after.velocity);
             let label = &self.results.level.components.label;
             move_spray_volume(grid, label, &markers, &landed, &mut after.component_volume);
         }
@@ -331,12 +290,7 @@ impl SubStep<'_> {
     }
 
     /// Adds the source of crowded markers to the right-hand side.
-    pub(super) fn add_excess(
-        &self,
-        open_volumes: &[f64],
-        active: &ActiveCells,
-        rhs: &mut RightHandSide,
-    ) {
+    pub(super) fn add_excess(&self, open_volumes: &[f64], active: &ActiveCells, rhs: &mut RightHandSide) {
         let excess = &self.results.level.excess;
         if self.model.effects.volume_shift {
             let cells = active.stencil.active_cells().into_iter();

@@ -8,8 +8,8 @@ use crate::reference::contact_rows::{Touching, solve_coupled_in_rows, solve_in_r
 use crate::reference::path::SolidModel;
 use crate::reference::solve_coupled::Together;
 use crate::reference::{
-    Candidates, CoupledSystem, Formulation, PressureSystem, SQUEEZE, Separation, SolidSystem,
-    solve, solve_coupled_in_contact, solve_damping_only, solve_weak, touching_cells,
+    Candidates, CoupledSystem, Formulation, PressureSystem, SQUEEZE, Separation, SolidSystem, solve,
+    solve_coupled_in_contact, solve_damping_only, solve_weak, touching_cells,
 };
 use crate::scene::{CouplingScheme, Separation as Separate};
 use crate::state::{SolveReport, SolveStatus};
@@ -50,13 +50,11 @@ impl SubStep<'_> {
         if let Some(clip) = self.boundary.clip() {
             let mut forces = vec![[0.0; 3]; self.results.node_forces.len()];
             let pressure = &self.after.pressure;
-            clip.coupling()
-                .add_transposed(pressure, forces.as_flattened_mut());
+            clip.coupling().add_transposed(pressure, forces.as_flattened_mut());
             let sum: DVec3 = forces.iter().copied().map(DVec3::from).sum();
             self.results.coupling.force = sum.to_array();
             let sums = self.results.node_forces.as_flattened_mut().iter_mut();
-            sums.zip(forces.as_flattened())
-                .for_each(|(sum, force)| *sum += force);
+            sums.zip(forces.as_flattened()).for_each(|(sum, force)| *sum += force);
         }
         Ok(())
     }
@@ -120,9 +118,7 @@ impl SubStep<'_> {
             let share = system.squeezed(&system.closed, None);
             self.results.solves[0] = Some(or_incompatible(report, share));
         }
-        if let Some(((system, contacts), part)) =
-            self.results.solid.as_mut().zip(self.model.solid.as_ref())
-        {
+        if let Some(((system, contacts), part)) = self.results.solid.as_mut().zip(self.model.solid.as_ref()) {
             let SolidModel { solids, solver, .. } = part;
             let (velocity, report, contact) = match self.model.effects.solid_contact {
                 false => solver.solve_in_contact(solids, system, contacts, settings)?,
@@ -156,20 +152,12 @@ impl SubStep<'_> {
         let separation = self.results.separation.as_mut();
         let solution = if settings.coupling == CouplingScheme::Weak {
             let solve_solid = |solid: &mut SolidSystem| {
-                let (velocity, report, contact) =
-                    solver.solve_in_contact(solids, solid, contacts, settings)?;
+                let (velocity, report, contact) = solver.solve_in_contact(solids, solid, contacts, settings)?;
                 self.results.contact = contact;
                 Ok((velocity, report))
             };
             let before = &self.results.velocity_before;
-            let mut solution = solve_weak(
-                (pressure, separation),
-                solid,
-                coupling,
-                before,
-                settings,
-                solve_solid,
-            )?;
+            let mut solution = solve_weak((pressure, separation), solid, coupling, before, settings, solve_solid)?;
             let share = pressure.squeezed(&pressure.closed, None);
             solution.reports[0] = or_incompatible(solution.reports[0], share);
             solution
@@ -183,30 +171,14 @@ impl SubStep<'_> {
                     dt: self.time_step.dt,
                     dx: self.model.grid.dx,
                 };
-                let together = Together {
-                    pressure,
-                    separation,
-                    coupling,
-                    solver,
-                    solids,
-                    settings,
-                    iterations: 0,
-                };
+                let together = Together { pressure, separation, coupling, solver, solids, settings, iterations: 0 };
                 solve_coupled_in_rows(together, solid, touching)
             } else {
                 let solve = match settings.coupling {
                     CouplingScheme::DampingOnly => solve_damping_only,
                     _ => solve_coupled_in_contact,
                 };
-                solve(
-                    (pressure, separation),
-                    solid,
-                    coupling,
-                    contacts,
-                    solver,
-                    solids,
-                    settings,
-                )
+                solve((pressure, separation), solid, coupling, contacts, solver, solids, settings)
             };
             let (system, mut solution, contact) = solved?;
             let flagged = |report| or_incompatible(report, system.squeezed);

@@ -7,12 +7,11 @@ use crate::Error;
 use crate::elastic::Solids;
 use crate::reference::path::Model;
 use crate::reference::{
-    Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
-    active_cells, add_spray, advect_markers, advect_velocity, advect_velocity_maccormack,
-    ballistic_bodies, ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence,
-    empty_sinks, exchanged_volume, extrapolate_one_sided, filled_distance, forces, hold_faces,
-    hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces,
-    open_volumes, patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers,
+    Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource, active_cells,
+    add_spray, advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies, ballistic_cells,
+    carry_faces, diagnose, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate_one_sided,
+    filled_distance, forces, hold_faces, hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers,
+    node_forces, open_volumes, patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers,
     solid_matrices, solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
@@ -23,8 +22,7 @@ impl SubStep<'_> {
     pub(super) fn move_solid(&mut self) {
         let Some(solids) = self.solids() else { return };
         let dt = self.time_step.dt;
-        if let (true, Some(obstacles)) = (self.model.effects.pushing_obstacles, &mut self.obstacles)
-        {
+        if let (true, Some(obstacles)) = (self.model.effects.pushing_obstacles, &mut self.obstacles) {
             obstacles.move_to(self.before.time + dt, dt);
         }
         let ballistic = self.ballistic_bodies(solids);
@@ -52,17 +50,9 @@ impl SubStep<'_> {
         };
         let falling = (self.model.scene.domain.gravity, self.time_step.dt);
         let (u, v) = (&before.displacement, &before.node_velocity);
-        let mut ballistic =
-            ballistic_bodies(solids, &self.model.grid, distance, &wet, falling, u, v);
+        let mut ballistic = ballistic_bodies(solids, &self.model.grid, distance, &wet, falling, u, v);
         if self.model.effects.solid_contact {
-            hold_near_others(
-                solids,
-                self.model.grid.dx,
-                self.time_step.dt,
-                u,
-                v,
-                &mut ballistic,
-            );
+            hold_near_others(solids, self.model.grid.dx, self.time_step.dt, u, v, &mut ballistic);
         }
         ballistic
     }
@@ -89,10 +79,7 @@ impl SubStep<'_> {
             true => Vec::new(),
             false => surface_distance(grid, solid_distance, &before.liquid_distance),
         };
-        let surface = Surface {
-            distance: &distance,
-            radius: liquid.marker_radius * grid.dx,
-        };
+        let surface = Surface { distance: &distance, radius: liquid.marker_radius * grid.dx };
         (self.after.markers, self.results.removed_markers) = advect_markers(
             grid,
             self.model.scene.domain.open,
@@ -141,10 +128,7 @@ impl SubStep<'_> {
         let cut = self.boundary.cut_cells();
         self.results.source_apertures = self.model.effects.sources.then(|| {
             let (open, running) = (&cut.open, sources.running);
-            [
-                taps.pressure_apertures(open, running),
-                taps.flux_apertures(open, running),
-            ]
+            [taps.pressure_apertures(open, running), taps.flux_apertures(open, running)]
         });
     }
 
@@ -212,8 +196,7 @@ impl SubStep<'_> {
     pub(super) fn solid_matrices(&mut self) {
         let displacement = &self.after.displacement;
         let solid = self.model.solid.as_ref();
-        self.results.matrices =
-            solid.map(|part| solid_matrices(&part.solids, &part.pattern, displacement));
+        self.results.matrices = solid.map(|part| solid_matrices(&part.solids, &part.pattern, displacement));
     }
 
     pub(super) fn right_hand_side(&mut self) {
@@ -309,8 +292,7 @@ impl SubStep<'_> {
         carry_faces(&self.model.taps, open, running, &mut velocity, &mut valid);
         let flux = self.boundary.clip().map(|clip| {
             let mut flux = vec![0.0; self.model.grid.n_cells()];
-            clip.coupling()
-                .add_product(self.after.node_velocity.as_flattened(), &mut flux);
+            clip.coupling().add_product(self.after.node_velocity.as_flattened(), &mut flux);
             for &(cell, taken) in clip.obstacles().flux() {
                 flux[cell] += taken;
             }
@@ -340,9 +322,7 @@ impl SubStep<'_> {
         };
         let held = self.results.separation.as_ref().map(|separation| {
             let pairs = self.after.active.iter().zip(separation.cells());
-            pairs
-                .map(|(active, separated)| *active && !*separated)
-                .collect::<Vec<_>>()
+            pairs.map(|(active, separated)| *active && !*separated).collect::<Vec<_>>()
         });
         let (walls, extent) = ((walls, held.as_deref()), (layers, largest));
         extrapolate_one_sided(&model.grid, cut, walls, valid, extent, velocity);
@@ -361,11 +341,7 @@ impl SubStep<'_> {
         let Model { scene, grid, .. } = self.model;
         let (results, after) = (&self.results, &self.after);
         let (density, gravity) = (self.liquid()?.density, scene.domain.gravity);
-        let filled = self
-            .model
-            .effects
-            .level
-            .then(|| filled_distance(grid, &after.liquid_distance));
+        let filled = self.model.effects.level.then(|| filled_distance(grid, &after.liquid_distance));
         let mut diagnosis = diagnose(
             grid,
             self.boundary.cut_cells(),
@@ -383,8 +359,7 @@ impl SubStep<'_> {
             markers: after.markers.len(),
             dropped: results.removed_markers.dropped,
             exchange: (self.model.effects.exchange()).then_some(results.exchange),
-            separation: (results.separation.as_ref())
-                .map(|separation| separation.report(self.time_step.dt)),
+            separation: (results.separation.as_ref()).map(|separation| separation.report(self.time_step.dt)),
         })
     }
 

@@ -4,9 +4,7 @@ use super::exact::Exact;
 use super::{EXACT, MOST_ITERATIONS, Options, ensure_truth};
 use crate::Error;
 use crate::measure::bench::ended::Ended;
-use crate::measure::bench::sub_step::{
-    Done, Mask, density, open_paths, reference_step, rest_errors, sub_step,
-};
+use crate::measure::bench::sub_step::{Done, Mask, density, open_paths, reference_step, rest_errors, sub_step};
 use crate::measure::bench::table::row;
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::reference::larger;
@@ -15,18 +13,9 @@ use crate::sim::reference_path;
 use crate::state::SolveReport;
 
 /// Rows of a problem on a grid.
-pub(super) fn measure(
-    run: &mut Run,
-    problem: Exact,
-    grid: usize,
-    options: &Options,
-) -> Result<Rows, Error> {
-    let solver = Solver {
-        precision: Precision::F64,
-        tolerance: EXACT,
-        max_iterations: MOST_ITERATIONS,
-        ..Solver::default()
-    };
+pub(super) fn measure(run: &mut Run, problem: Exact, grid: usize, options: &Options) -> Result<Rows, Error> {
+    let solver =
+        Solver { precision: Precision::F64, tolerance: EXACT, max_iterations: MOST_ITERATIONS, ..Solver::default() };
     let scene = problem.scene(grid, solver)?;
     let state = problem.state(&scene)?;
     let mut reference = reference_path(&scene)?;

@@ -34,12 +34,7 @@ struct Variant {
 }
 
 /// Rows of a state. The sub-steps have no volume control, which prescribes divergence.
-pub(super) fn measure(
-    run: &mut Run,
-    scene: &Scene,
-    frame: u64,
-    options: &Options,
-) -> Result<Rows, Error> {
+pub(super) fn measure(run: &mut Run, scene: &Scene, frame: u64, options: &Options) -> Result<Rows, Error> {
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     while simulation.clock().frame < frame {
         simulation.step()?;
@@ -63,8 +58,7 @@ pub(super) fn measure(
     if variants.is_empty() {
         let what = scene.file.display().to_string();
         let problem = "none of the precisions and preconditioners asked for can solve it";
-        let cure =
-            "block_jacobi is for solids in liquid, and f32 not for the condensed form: add others";
+        let cure = "block_jacobi is for solids in liquid, and f32 not for the condensed form: add others";
         return Err(refused.unwrap_or_else(|| Error::input(what, problem, cure)));
     }
     let n = options.tolerances.len();
@@ -76,12 +70,7 @@ pub(super) fn measure(
         Ok((done.seconds, done))
     })?;
     let rows = timed.into_iter().enumerate().map(|(job, timed)| {
-        let row = case.row(
-            &variants[job / n],
-            options.tolerances[job % n],
-            timed.spread(),
-            &timed.outcome,
-        );
+        let row = case.row(&variants[job / n], options.tolerances[job % n], timed.spread(), &timed.outcome);
         ("accuracy", row)
     });
     Ok(rows.collect())
@@ -128,23 +117,13 @@ impl<'a> Case<'a> {
         let dt = reference.next_time_step().dt;
         let exact = reference_step(&mut reference, state)?;
         let mask = Mask::new(&reference);
-        let case = Case {
-            scene,
-            state,
-            exact,
-            mask,
-            dt,
-        };
+        let case = Case { scene, state, exact, mask, dt };
         case.ensure_truth("the f64 path", case.exact.report.solves())?;
         Ok(case)
     }
 
     /// Refuses an exact solution that did not converge.
-    fn ensure_truth(
-        &self,
-        system: &str,
-        solves: impl IntoIterator<Item = SolveReport>,
-    ) -> Result<(), Error> {
+    fn ensure_truth(&self, system: &str, solves: impl IntoIterator<Item = SolveReport>) -> Result<(), Error> {
         let what = format!("{}, frame {}, {system}", self.scene.name, self.state.frame);
         ensure_truth(&what, self.state.step, solves)
     }
@@ -152,17 +131,13 @@ impl<'a> Case<'a> {
     fn row(&self, variant: &Variant, tolerance: f64, seconds: Spread, done: &Done) -> Row {
         let report = &done.report;
         let liquid = report.liquid.map(|liquid| (liquid.solve, liquid.diagnosis));
-        let solves = [
-            liquid.map(|(solve, _)| solve),
-            report.solid.map(|solid| solid.solve),
-        ];
+        let solves = [liquid.map(|(solve, _)| solve), report.solid.map(|solid| solid.solve)];
         let touching = report.coupling.filter(|both| both.touching);
         let iterations = solves.map(|solve| solve.map_or(0, |solve| solve.iterations));
         let reports: Vec<SolveReport> = solves.into_iter().flatten().collect();
         let Solution { pressure, velocity } = &done.solution;
         let cells = |exact: &[f64]| relative(pressure, exact, Some(&self.mask.cells));
-        let nodes =
-            |exact: &[[f64; 3]]| relative(velocity.as_flattened(), exact.as_flattened(), None);
+        let nodes = |exact: &[[f64; 3]]| relative(velocity.as_flattened(), exact.as_flattened(), None);
         let faces = |of: &[Vec<f64>; 3]| of.concat();
         let counts: Vec<bool> = self.mask.faces.concat();
         let fall = self.scene.domain.gravity.length() * self.dt;
@@ -189,9 +164,8 @@ impl<'a> Case<'a> {
 fn relative(found: &[f64], exact: &[f64], counts: Option<&[bool]>) -> f64 {
     let pairs = found.iter().zip(exact).enumerate();
     let pairs = pairs.filter(|(at, _)| counts.is_none_or(|counts| counts[*at]));
-    let [off, largest] = pairs.fold([0.0; 2], |[off, largest], (_, (a, b))| {
-        [larger(off, (a - b).abs()), larger(largest, b.abs())]
-    });
+    let [off, largest] =
+        pairs.fold([0.0; 2], |[off, largest], (_, (a, b))| [larger(off, (a - b).abs()), larger(largest, b.abs())]);
     if off == 0.0 { 0.0 } else { off / largest }
 }
 
@@ -218,11 +192,7 @@ impl Variant {
             Ok(())
         })?;
         let truth = truth.expect("every sub-step has a solve");
-        Ok(Variant {
-            solver,
-            path,
-            truth,
-        })
+        Ok(Variant { solver, path, truth })
     }
 }
 
@@ -234,25 +204,15 @@ fn solution(
     density: f64,
     dt: f64,
 ) -> Result<(Solution, Vec<SolveReport>), Error> {
-    let settings = Solver {
-        tolerance: EXACT,
-        max_iterations: MOST_ITERATIONS,
-        precision: Precision::F64,
-        ..Solver::default()
-    };
+    let settings =
+        Solver { tolerance: EXACT, max_iterations: MOST_ITERATIONS, precision: Precision::F64, ..Solver::default() };
     if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
         let solver = SolidSolver::new(&all);
         let found = solve_coupled(&system, Form::of(&system), &solver, &all, &settings)?;
-        let exact = Solution {
-            pressure: found.pressure,
-            velocity: found.velocity,
-        };
+        let exact = Solution { pressure: found.pressure, velocity: found.velocity };
         return Ok((exact, found.reports.into()));
     }
-    let mut exact = Solution {
-        pressure: Vec::new(),
-        velocity: Vec::new(),
-    };
+    let mut exact = Solution { pressure: Vec::new(), velocity: Vec::new() };
     let mut solves = Vec::new();
     if let Some(liquid) = &snapshot.liquid {
         let system = stored::pressure_system(path, liquid, density, dt);

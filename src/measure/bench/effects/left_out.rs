@@ -2,9 +2,7 @@
 
 use crate::effects::Effects;
 use crate::grid::Sides;
-use crate::scene::{
-    ElasticModel, Liquid, PatchPressure, ProbeKind, Scene, Separation, Solid, Surface,
-};
+use crate::scene::{ElasticModel, Liquid, PatchPressure, ProbeKind, Scene, Separation, Solid, Surface};
 
 /// An effect that can be removed.
 #[derive(Clone, Copy, Debug)]

@@ -32,10 +32,7 @@ pub type Pair = [Cost; 2];
 
 /// Pair of the scene and two parts of it, from a pair with each part: the mean of the scene's costs, and the sum of the parts' costs.
 pub fn against_both([with, a]: Pair, [again, b]: Pair) -> Pair {
-    let whole = Cost {
-        seconds: 0.5 * (with.seconds + again.seconds),
-        ..with
-    };
+    let whole = Cost { seconds: 0.5 * (with.seconds + again.seconds), ..with };
     let parts = Cost {
         seconds: a.seconds + b.seconds,
         dispatches: a.dispatches + b.dispatches,
@@ -47,9 +44,7 @@ pub fn against_both([with, a]: Pair, [again, b]: Pair) -> Pair {
 /// Seconds that the effect adds in each pair.
 pub fn added(pairs: &[Pair]) -> Vec<f64> {
     let pairs = pairs.iter();
-    pairs
-        .map(|[with, without]| with.seconds - without.seconds)
-        .collect()
+    pairs.map(|[with, without]| with.seconds - without.seconds).collect()
 }
 
 /// Median seconds with the effect (0) or without (1).
@@ -59,9 +54,7 @@ pub(super) fn median(pairs: &[Pair], side: usize) -> f64 {
 
 /// Median of the differences of a count; for an even number of pairs the lower of the two in the middle.
 pub fn middle(pairs: &[Pair], count: impl Fn(&Cost) -> usize) -> i64 {
-    let added = pairs
-        .iter()
-        .map(|[with, without]| count(with) as i64 - count(without) as i64);
+    let added = pairs.iter().map(|[with, without]| count(with) as i64 - count(without) as i64);
     let mut added: Vec<i64> = added.collect();
     added.sort_unstable();
     added[(added.len() - 1) / 2]

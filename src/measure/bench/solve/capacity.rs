@@ -54,9 +54,9 @@ impl<'a> Capacity<'a> {
     pub fn check(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
         let mut checked = self.fits(grid, solvers);
         if let Err(Error::Limit { cure, .. } | Error::Memory { cure, .. }) = &mut checked {
-            let smaller = self.largest(solvers).map_or(String::new(), |largest| {
-                format!("give grids of at most {largest} cells (--grids max), or ")
-            });
+            let smaller = self
+                .largest(solvers)
+                .map_or(String::new(), |largest| format!("give grids of at most {largest} cells (--grids max), or "));
             *cure = format!("{smaller}use another adapter (--adapter) or machine");
         }
         checked
@@ -74,10 +74,7 @@ impl<'a> Capacity<'a> {
             for plan in &plans {
                 self.adapter.check_buffer(&plan.label, plan.bytes())?;
             }
-            let memory = HostMemory {
-                needed: PER_CELL * (grid as u64).pow(3),
-                available: self.memory,
-            };
+            let memory = HostMemory { needed: PER_CELL * (grid as u64).pow(3), available: self.memory };
             let bytes = plans.iter().map(BufferPlan::bytes).sum();
             memory.beside(bytes, self.adapter).check()
         })
@@ -85,28 +82,15 @@ impl<'a> Capacity<'a> {
 }
 
 /// All buffers of a bench of the pressure on an adapter.
-fn buffers(
-    grid: usize,
-    solver: &Solver,
-    adapter: &AdapterReport,
-) -> Result<Vec<BufferPlan>, Error> {
-    let grid = Grid {
-        cells: [grid; 3],
-        dx: 1.0 / grid as f64,
-    };
+fn buffers(grid: usize, solver: &Solver, adapter: &AdapterReport) -> Result<Vec<BufferPlan>, Error> {
+    let grid = Grid { cells: [grid; 3], dx: 1.0 / grid as f64 };
     let gpu = Gpu::planning(adapter.clone());
     let n = grid.padded().len();
-    let (open, velocity) = (
-        gpu.buffer("bench.open", 3 * n)?,
-        gpu.buffer("bench.velocity", 3 * n)?,
-    );
+    let (open, velocity) = (gpu.buffer("bench.open", 3 * n)?, gpu.buffer("bench.velocity", 3 * n)?);
     let distance = gpu.buffer("bench.liquid_distance", n)?;
     let buffers = SolverBuffers::new(&gpu, &grid, solver.precision)?;
     let (list, args) = (gpu.buffer("bench.list", 0)?, gpu.buffer("bench.args", 4)?);
-    let within = Within {
-        list: &list,
-        args: &args,
-    };
+    let within = Within { list: &list, args: &args };
     PressureSystem::new(&gpu, &buffers, &open, &distance, within, solver.theta_floor)?;
     Components::new(&gpu, &buffers)?;
     PressureSolver::new(&gpu, &buffers, &velocity, &open, solver)?;

@@ -2,12 +2,10 @@
 
 use crate::Error;
 use crate::elastic::Solids;
-use crate::linalg::{
-    CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient_with_test,
-};
+use crate::linalg::{CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient_with_test};
 use crate::reference::{
-    Blocks, Correction, CoupledSystem, Formulation, LinearSystem, PressureSystem, SIGMA,
-    SolidSolver, TwoField, part_left, refine_parts, solve_coupled, solve_iterative,
+    Blocks, Correction, CoupledSystem, Formulation, LinearSystem, PressureSystem, SIGMA, SolidSolver, TwoField,
+    part_left, refine_parts, solve_coupled, solve_iterative,
 };
 use crate::scene::{Solver, names};
 use crate::state::SolveReport;
@@ -52,15 +50,10 @@ impl<'a> Assembled<'a> {
 
     pub(super) fn definite(self) -> Definite<'a> {
         match self {
-            Assembled::Pressure(system) => Definite::Pressure {
-                system,
-                cells: system.stencil.active_cells(),
-            },
-            Assembled::Both(system, _) => Definite::Both {
-                system,
-                blocks: Box::new(system.blocks()),
-                two_field: TwoField::new(system, SIGMA),
-            },
+            Assembled::Pressure(system) => Definite::Pressure { system, cells: system.stencil.active_cells() },
+            Assembled::Both(system, _) => {
+                Definite::Both { system, blocks: Box::new(system.blocks()), two_field: TwoField::new(system, SIGMA) }
+            }
         }
     }
 
@@ -68,11 +61,7 @@ impl<'a> Assembled<'a> {
     ///
     /// # Errors
     /// When a factor does not fit into memory, or does not exist in f64.
-    pub fn solve(
-        self,
-        solver: ReferenceSolver,
-        settings: &Solver,
-    ) -> Result<Option<Vec<SolveReport>>, Error> {
+    pub fn solve(self, solver: ReferenceSolver, settings: &Solver) -> Result<Option<Vec<SolveReport>>, Error> {
         match (solver, self) {
             (ReferenceSolver::Multigrid, Assembled::Pressure(system)) => {
                 Ok(Some(vec![solve_iterative(system, settings).1]))
@@ -104,15 +93,8 @@ impl<'a> Assembled<'a> {
 
 /// Positive definite system of the solve: B, or thesis (5.25) in place of (5.17), whose residuals count.
 pub(super) enum Definite<'a> {
-    Pressure {
-        system: &'a PressureSystem,
-        cells: Vec<usize>,
-    },
-    Both {
-        system: &'a CoupledSystem,
-        blocks: Box<Blocks>,
-        two_field: TwoField<'a>,
-    },
+    Pressure { system: &'a PressureSystem, cells: Vec<usize> },
+    Both { system: &'a CoupledSystem, blocks: Box<Blocks>, two_field: TwoField<'a> },
 }
 
 impl Definite<'_> {
@@ -126,12 +108,7 @@ impl Definite<'_> {
     }
 
     /// Conjugate gradients; the first refinement step iterates until the true residuals pass.
-    fn iterate(
-        &self,
-        matrix: &Csr,
-        preconditioner: &dyn LinearOperator,
-        settings: &Solver,
-    ) -> Vec<SolveReport> {
+    fn iterate(&self, matrix: &Csr, preconditioner: &dyn LinearOperator, settings: &Solver) -> Vec<SolveReport> {
         let mut first = true;
         self.refined(settings, |x, tolerance, most| {
             let rhs = x.clone();
@@ -151,15 +128,7 @@ impl Definite<'_> {
                 gains.then_some(left)
             };
             let most = most as usize;
-            let report = conjugate_gradient_with_test(
-                matrix,
-                preconditioner,
-                &rhs,
-                x,
-                inner,
-                most,
-                evaluate,
-            );
+            let report = conjugate_gradient_with_test(matrix, preconditioner, &rhs, x, inner, most, evaluate);
             (report.iterations as u32, report.end)
         })
     }
@@ -183,11 +152,7 @@ impl Definite<'_> {
         let correct = |residual: &[f64], tolerance: f64, left: u32| {
             let mut x = self.rhs(residual);
             let (iterations, end) = solve(&mut x, tolerance, left);
-            Correction {
-                x: self.scatter(&x, residual.len()),
-                iterations,
-                end,
-            }
+            Correction { x: self.scatter(&x, residual.len()), iterations, end }
         };
         match self {
             Definite::Pressure { system, .. } => refine_parts(*system, settings, correct).1,
@@ -199,9 +164,7 @@ impl Definite<'_> {
     fn rhs(&self, residual: &[f64]) -> Vec<f64> {
         match self {
             Definite::Pressure { cells, .. } => cells.iter().map(|&cell| residual[cell]).collect(),
-            Definite::Both {
-                blocks, two_field, ..
-            } => blocks.gather(&two_field.rhs(residual)),
+            Definite::Both { blocks, two_field, .. } => blocks.gather(&two_field.rhs(residual)),
         }
     }
 

@@ -140,8 +140,7 @@ impl Budget {
             liquid_kinetic: self.marker * kinetic,
             solid_kinetic: solids.kinetic_energy,
             elastic: solids.elastic_energy,
-            potential: self.marker * potential + solids.potential_energy
-                - self.solids * self.lowest,
+            potential: self.marker * potential + solids.potential_energy - self.solids * self.lowest,
             solid_speed: solids.max_speed,
             liquid_speed,
         }

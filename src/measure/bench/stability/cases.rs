@@ -62,9 +62,7 @@ impl Expected {
         match self {
             Expected::Completes => completed,
             // The size of an instability is random, its growth is not.
-            Expected::Fails => {
-                !completed && row.number("growth") >= GROWS && row.number("elastic_ratio") >= TORN
-            }
+            Expected::Fails => !completed && row.number("growth") >= GROWS && row.number("elastic_ratio") >= TORN,
             Expected::PushedAway => completed && deflection >= PUSHED_AWAY && lift >= LIFTED,
             Expected::StaysStiff => completed && deflection <= STIFF && lift <= LEVEL,
         }
@@ -102,9 +100,7 @@ impl Case {
 
     /// Cases that vary the same property.
     pub(super) fn group(&self) -> &str {
-        self.name
-            .split_once('_')
-            .map_or(&self.name, |(group, _)| group)
+        self.name.split_once('_').map_or(&self.name, |(group, _)| group)
     }
 
     /// Writes the scene file; the thesis's is among the project's scenes.
@@ -164,24 +160,14 @@ impl Entry {
 /// # Errors
 /// [`Error::Input`] where `cases.toml` is not valid TOML.
 pub fn cases(steps: u64, scale: f64) -> Result<Vec<Case>, Error> {
-    let Matrix {
-        scene,
-        hostile,
-        thesis,
-    } = from_toml("cases.toml of bench stability", CASES)?;
+    let Matrix { scene, hostile, thesis } = from_toml("cases.toml of bench stability", CASES)?;
     let hostile = hostile.into_iter().map(|entry| {
-        let names = ["every"]
-            .into_iter()
-            .chain(entry.parts.iter().map(String::as_str));
+        let names = ["every"].into_iter().chain(entry.parts.iter().map(String::as_str));
         let parts = names.filter_map(|name| scene.get(name));
         let mut text = Part::new();
-        parts
-            .chain([&entry.own])
-            .for_each(|part| merge(&mut text, part));
+        parts.chain([&entry.own]).for_each(|part| merge(&mut text, part));
         entry.case(text.to_string(), steps, 1.0)
     });
-    let thesis = thesis
-        .into_iter()
-        .map(|entry| entry.case(THESIS.to_owned(), THESIS_STEPS, scale));
+    let thesis = thesis.into_iter().map(|entry| entry.case(THESIS.to_owned(), THESIS_STEPS, scale));
     Ok(hostile.chain(thesis).collect())
 }

@@ -57,18 +57,10 @@ columns! {
 pub fn limits() -> Vec<Limit> {
     let mut limits = Vec::new();
     for dt in [0.01, 0.0025] {
-        limits.extend([0.5, 0.8, 1.25, 2.0].map(|over| Limit {
-            omega_dt: 0.0,
-            over,
-            dt,
-        }));
+        limits.extend([0.5, 0.8, 1.25, 2.0].map(|over| Limit { omega_dt: 0.0, over, dt }));
     }
     for omega_dt in [1.0, 3.2] {
-        limits.extend([1.0 - TOLERANCE, 1.0 + TOLERANCE].map(|over| Limit {
-            omega_dt,
-            over,
-            dt: 0.01,
-        }));
+        limits.extend([1.0 - TOLERANCE, 1.0 + TOLERANCE].map(|over| Limit { omega_dt, over, dt: 0.01 }));
     }
     limits
 }
@@ -87,9 +79,7 @@ pub(super) fn step_lengths(rows: &[Row]) -> Vec<Row> {
         let off = short.number("got") / long.number("got") - 1.0;
         let name = format!("{}_and_{}", long.text("name"), short.number("dt"));
         let passed = off.abs() <= TOLERANCE;
-        short
-            .clone()
-            .with(row! { name: name, expected: long.number("got"), off: off, passed: passed })
+        short.clone().with(row! { name: name, expected: long.number("got"), off: off, passed: passed })
     };
     pairs.map(row).collect()
 }
@@ -137,10 +127,7 @@ impl Limit {
             format!("time.fixed_step={:?}", self.dt),
             format!("liquid.region[1].half_space.point=[{middle:?}, 0, 0]"),
             format!("solid[0].mesh.box.size[0]={:?}", length - start),
-            format!(
-                "solid[0].placement.translate[0]={:?}",
-                0.5 * (start + length)
-            ),
+            format!("solid[0].placement.translate[0]={:?}", 0.5 * (start + length)),
             format!("solid[0].density={density:?}"),
             format!("solid[0].young={young:?}"),
         ];

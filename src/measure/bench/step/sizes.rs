@@ -49,10 +49,7 @@ impl Case {
                 SolidMesh::File { .. } => {}
             }
         }
-        Ok(Case {
-            scene,
-            solids_scale,
-        })
+        Ok(Case { scene, solids_scale })
     }
 }
 
@@ -60,10 +57,7 @@ impl Case {
 ///
 /// # Errors
 /// Errors of `load` at scale 1, and [`Error::Limit`] and [`Error::Memory`] at the least grid.
-pub fn largest_scale(
-    load: &dyn Fn(f64) -> Result<Case, Error>,
-    adapter: &AdapterReport,
-) -> Result<f64, Error> {
+pub fn largest_scale(load: &dyn Fn(f64) -> Result<Case, Error>, adapter: &AdapterReport) -> Result<f64, Error> {
     let cells = load(1.0)?.scene.domain.cells;
     let fits = |scale: f64| {
         let Case { scene, .. } = load(scale)?;

@@ -9,9 +9,7 @@ use crate::Error;
 use crate::linalg::norm;
 use crate::measure::bench::ended::{Ended, is_solved};
 use crate::measure::bench::statistics::{Spread, exponent, grouped};
-use crate::measure::bench::sub_step::{
-    Done, Mask, density, open_paths, reference_step, rest_errors, sub_step,
-};
+use crate::measure::bench::sub_step::{Done, Mask, density, open_paths, reference_step, rest_errors, sub_step};
 use crate::measure::bench::table::{Row, columns, row};
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
@@ -101,16 +99,8 @@ impl Problem {
     /// Problem of a table; `None` for other tables.
     pub(super) fn from_table(table: &str) -> Option<Problem> {
         match table {
-            "6.5" => Some(Problem {
-                table: "6.5",
-                strain: TABLE_6_5,
-                printed: &PRINTED_6_5,
-            }),
-            "6.6" => Some(Problem {
-                table: "6.6",
-                strain: TABLE_6_6,
-                printed: &PRINTED_6_6,
-            }),
+            "6.5" => Some(Problem { table: "6.5", strain: TABLE_6_5, printed: &PRINTED_6_5 }),
+            "6.6" => Some(Problem { table: "6.6", strain: TABLE_6_6, printed: &PRINTED_6_6 }),
             _ => None,
         }
     }
@@ -179,20 +169,14 @@ impl Problem {
 
 /// Orders of a series of rows; `None` for fewer than two sizes.
 fn order(rows: &[&Row]) -> Option<Row> {
-    let rows: Vec<&Row> = rows
-        .iter()
-        .copied()
-        .filter(|row| FITTED.contains(&row.count("grid")))
-        .collect();
+    let rows: Vec<&Row> = rows.iter().copied().filter(|row| FITTED.contains(&row.count("grid"))).collect();
     let [first, .., last] = rows[..] else {
         return None;
     };
     let point = |row: &Row, error: &str| (1.0 / row.number("grid"), row.number(error));
     let fit = |error: &str| exponent(rows.iter().map(|row| point(row, error)));
     let least = |error: &str| {
-        let steps = rows
-            .windows(2)
-            .filter_map(|pair| exponent(pair.iter().map(|row| point(row, error))));
+        let steps = rows.windows(2).filter_map(|pair| exponent(pair.iter().map(|row| point(row, error))));
         steps.fold(f64::INFINITY, f64::min)
     };
     Some(row! {
@@ -210,13 +194,12 @@ pub(super) fn orders(rows: &[Row]) -> Vec<Row> {
             .iter()
             .map(|(grid, [p, v, u])| row! { grid: *grid, error_p: *p, error_v: *v, error_u: *u })
             .collect();
-        let thesis =
-            row! { table: table, backend: "thesis", precision: "", patch_pressure: "cell" };
+        let thesis = row! { table: table, backend: "thesis", precision: "", patch_pressure: "cell" };
         orders.extend(order(&printed.iter().collect::<Vec<_>>()).map(|order| order.with(thesis)));
         let solved = rows.into_iter().filter(|row| is_solved(row.text("status")));
-        for (series, rows) in grouped(solved, |row| {
-            Some(row.only(&["table", "backend", "precision", "patch_pressure"]))
-        }) {
+        for (series, rows) in
+            grouped(solved, |row| Some(row.only(&["table", "backend", "precision", "patch_pressure"])))
+        {
             orders.extend(order(&rows).map(|order| order.with(series)));
         }
     }

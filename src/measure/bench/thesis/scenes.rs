@@ -26,14 +26,8 @@ const PRINTED: [(&str, &str, usize, usize, usize); 7] = [
 ];
 
 /// Stages of the pressure projection: set-up of its system, solve, and update of the velocities.
-const PROJECTION: [&str; 6] = [
-    "active_cells",
-    "closed_components",
-    "solid_matrices",
-    "right_hand_side",
-    "solve",
-    "write_back",
-];
+const PROJECTION: [&str; 6] =
+    ["active_cells", "closed_components", "solid_matrices", "right_hand_side", "solve", "write_back"];
 
 columns! {
     SCENES {
@@ -88,11 +82,9 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
 /// A case per scene.
 pub(super) fn cases<'c>(scenes: &'c [(usize, Scene)], options: &'c Options) -> Vec<Case<'c>> {
     let cases = scenes.iter().map(|(number, scene)| {
-        Case::new(
-            "thesis_scenes",
-            row! { scene: scene.name.as_str(), precision: scene.solver.precision },
-            move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)]),
-        )
+        Case::new("thesis_scenes", row! { scene: scene.name.as_str(), precision: scene.solver.precision }, move |_| {
+            Ok(vec![("thesis_scenes", measure(*number, scene, options)?)])
+        })
     });
     cases.collect()
 }
@@ -111,13 +103,9 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     let converged = SolveStatus::Converged.name();
     let ended = ended.min_by_key(|&word| (is_solved(word), word == converged));
     let touching = |report: &&StepReport| report.coupling.is_some_and(|both| both.touching);
-    let spread =
-        |seconds: &dyn Fn(&StepReport) -> f64| Spread::of(reports.iter().map(seconds).collect());
-    let timestamps = simulation
-        .adapter()
-        .is_some_and(|adapter| adapter.timestamps);
-    let stages_spread =
-        |stages: &[&str]| timestamps.then(|| spread(&|report| stage_seconds(report, stages)));
+    let spread = |seconds: &dyn Fn(&StepReport) -> f64| Spread::of(reports.iter().map(seconds).collect());
+    let timestamps = simulation.adapter().is_some_and(|adapter| adapter.timestamps);
+    let stages_spread = |stages: &[&str]| timestamps.then(|| spread(&|report| stage_seconds(report, stages)));
     let time: f64 = reports.iter().map(|report| report.dt).sum();
     let solids = simulation.solids();
     Ok(row! {

@@ -20,8 +20,8 @@ use crate::measure::bench::sub_step::{density, open_paths, stage_seconds, sub_st
 use crate::measure::bench::table::{Row, Value, columns, row};
 use crate::measure::bench::{Case as BenchCase, Rows, Run, rounds};
 use crate::reference::{
-    BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem,
-    StressVariables, conditions, solid_matrices, solve_coupled,
+    BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem, StressVariables, conditions,
+    solid_matrices, solve_coupled,
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
 use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
@@ -40,10 +40,7 @@ const BEAMS: [usize; 2] = [2, 4];
 const PRINTED_6_2: [(usize, [[f64; 2]; 3]); 3] = [
     (40, [[157498.0, 185503.0], [8.347, 10.497], [1.635, 1.813]]),
     (60, [[499787.0, 610697.0], [8.579, 11.311], [16.121, 8.292]]),
-    (
-        80,
-        [[1177419.0, 1439173.0], [8.819, 11.497], [100.875, 28.020]],
-    ),
+    (80, [[1177419.0, 1439173.0], [8.819, 11.497], [100.875, 28.020]]),
 ];
 
 /// Cells along an edge, and with 135 nodes, then with 725: seconds per frame in velocities and in stresses.
@@ -192,12 +189,7 @@ impl Break {
         let scene = scene(size)?;
         let simulation = Simulation::new(&scene, &Backend::Gpu(options.adapter.clone()))?;
         let solids = solids_of(&scene)?;
-        Ok(Break {
-            size,
-            scene,
-            solids,
-            simulation,
-        })
+        Ok(Break { size, scene, solids, simulation })
     }
 }
 
@@ -219,10 +211,7 @@ fn measure(
     }
     let state = dam.simulation.state()?;
     let rows = Case::new(size, &dam.scene, &dam.solids, &state)?.rows(run, table, options)?;
-    Ok(rows
-        .into_iter()
-        .map(|row| ("thesis_systems", row))
-        .collect())
+    Ok(rows.into_iter().map(|row| ("thesis_systems", row)).collect())
 }
 
 /// The dam break with a beam of k bricks across and 7 k along on n^3 cells.
@@ -251,12 +240,7 @@ pub(super) fn ensure_frame(frame: u64) -> Result<(), Error> {
 }
 
 impl<'a> Case<'a> {
-    fn new(
-        size: Size,
-        scene: &'a Scene,
-        solids: &'a Solids,
-        state: &'a State,
-    ) -> Result<Case<'a>, Error> {
+    fn new(size: Size, scene: &'a Scene, solids: &'a Solids, state: &'a State) -> Result<Case<'a>, Error> {
         let mut exact = scene.clone();
         exact.solver.precision = Precision::F64;
         let mut path = reference_path(&exact)?;
@@ -279,9 +263,7 @@ impl<'a> Case<'a> {
         let deformed = solid_matrices(solids, &pattern, &path.state().displacement);
         let dt = time_step.dt;
         Ok(Case {
-            stress: StressVariables::new(solids, &deformed.deformations, |body| {
-                body.zeta_stiffness(dt)
-            }),
+            stress: StressVariables::new(solids, &deformed.deformations, |body| body.zeta_stiffness(dt)),
             size,
             scene,
             solids,
@@ -311,12 +293,7 @@ impl<'a> Case<'a> {
         let two_field = Form::TwoFieldIncomplete(SIGMA);
         match table {
             "6.2" => {
-                let forms = [
-                    Form::IndefiniteIterative,
-                    Form::IndefiniteMinimalResidual,
-                    two_field,
-                    Form::Condensed,
-                ];
+                let forms = [Form::IndefiniteIterative, Form::IndefiniteMinimalResidual, two_field, Form::Condensed];
                 let mut rows = self.solved(run, table, &forms, options)?;
                 let conditions = conditions(&self.system, SIGMA, ALPHA)?;
                 let indefinite = (blocks.indefinite().n_entries(), conditions.indefinite);
@@ -334,20 +311,11 @@ impl<'a> Case<'a> {
                 }
                 Ok(rows)
             }
-            "6.3" => self.solved(
-                run,
-                table,
-                &[two_field, Form::StressIncomplete(&self.stress)],
-                options,
-            ),
+            "6.3" => self.solved(run, table, &[two_field, Form::StressIncomplete(&self.stress)], options),
             _ => {
-                let matrices = [
-                    ("two-field", blocks.two_field(SIGMA)?),
-                    ("stress", self.stress.system(&blocks)?.1),
-                ];
+                let matrices = [("two-field", blocks.two_field(SIGMA)?), ("stress", self.stress.system(&blocks)?.1)];
                 let rows = matrices.map(|(form, matrix)| {
-                    self.row(table, [form, "", "cpu", "f64"])
-                        .with(row! { nonzeros: matrix.n_entries() })
+                    self.row(table, [form, "", "cpu", "f64"]).with(row! { nonzeros: matrix.n_entries() })
                 });
                 Ok(rows.to_vec())
             }
@@ -361,20 +329,13 @@ impl<'a> Case<'a> {
             forms.map(|formulation| self.settings(precision, formulation))
         });
         // In f32 both forms are the same.
-        let solvers = precisions.filter(|solver| {
-            solver.precision != Precision::F32 || solver.formulation == Formulation::Auto
-        });
+        let solvers =
+            precisions.filter(|solver| solver.precision != Precision::F32 || solver.formulation == Formulation::Auto);
         open_paths(self.scene, solvers, self.state, &options.adapter)
     }
 
     fn settings(&self, precision: Precision, formulation: Formulation) -> Solver {
-        Solver {
-            tolerance: TOLERANCE,
-            max_iterations: MOST_ITERATIONS,
-            precision,
-            formulation,
-            ..self.scene.solver
-        }
+        Solver { tolerance: TOLERANCE, max_iterations: MOST_ITERATIONS, precision, formulation, ..self.scene.solver }
     }
 
     /// Seconds of the stages of the f64 path other than the solve.
@@ -385,13 +346,7 @@ impl<'a> Case<'a> {
     }
 
     /// A row per form on the CPU and per path of the device, solved in rounds.
-    fn solved(
-        &self,
-        run: &mut Run,
-        table: &str,
-        forms: &[Form],
-        options: &Options,
-    ) -> Result<Vec<Row>, Error> {
+    fn solved(&self, run: &mut Run, table: &str, forms: &[Form], options: &Options) -> Result<Vec<Row>, Error> {
         let mut devices = self.devices(options)?;
         let exact = self.settings(Precision::F64, Formulation::Auto);
         let mut path = self.path.clone();
@@ -511,9 +466,8 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
             if values.is_empty() {
                 continue;
             }
-            let [mean, low, high] = [0, 1, 2].map(|at: usize| {
-                values.iter().map(|value| value[at]).sum::<f64>() / values.len() as f64
-            });
+            let [mean, low, high] =
+                [0, 1, 2].map(|at: usize| values.iter().map(|value| value[at]).sum::<f64>() / values.len() as f64);
             let states = Spread::of(values.iter().map(|value| value[0]).collect());
             let minres = line.text("solver").starts_with("MINRES") && quantity == "seconds";
             let [grid, nodes] = ["grid", "nodes"].map(|name| line.count(name));

@@ -57,10 +57,7 @@ impl LiquidComparison<'_> {
     }
 
     fn level_cells(&self) -> LevelCells<'_> {
-        LevelCells {
-            grid: &self.grid,
-            cut: &self.cut,
-        }
+        LevelCells { grid: &self.grid, cut: &self.cut }
     }
 
     /// phi / dx: a product with 1 / dx, which is rounded.
@@ -71,9 +68,7 @@ impl LiquidComparison<'_> {
     /// A field with air outside the band, where the device has none.
     fn with_air(&self, of: &LiquidSnapshot, field: &[f64]) -> Vec<f64> {
         let pairs = field.iter().zip(&of.band);
-        pairs
-            .map(|(&phi, &band)| if band { phi } else { REACH })
-            .collect()
+        pairs.map(|(&phi, &band)| if band { phi } else { REACH }).collect()
     }
 
     /// Compares the cells of the band. `twins`: from the inputs, and from inputs moved by their rounding.
@@ -133,9 +128,8 @@ impl LiquidComparison<'_> {
         let sides = self.scene.domain.open;
         let carried = reference::carry_level(&grid, sides, velocity, &ballistic, &level, dt);
         let [_, bound] = level_error(&grid, velocity, &level, &carried, dt);
-        let advected = |of: &reference::Ballistic, level: &[f64]| {
-            reference::advect_level(&grid, sides, velocity, of, level, dt)
-        };
+        let advected =
+            |of: &reference::Ballistic, level: &[f64]| reference::advect_level(&grid, sides, velocity, of, level, dt);
         let mut twins = self.twins(&level, bound, |level| advected(&ballistic, level));
         twins.extend(self.near_ballistic().map(|other| advected(&other, &level)));
         // A departure point on a plane of cell centres may have the taps of either side.
@@ -146,21 +140,13 @@ impl LiquidComparison<'_> {
         }));
         self.exchange_level(after, &level, (&mut twins, bound));
         let band = self.settled(after);
-        let settled = LiquidSnapshot {
-            band,
-            ..after.clone()
-        };
+        let settled = LiquidSnapshot { band, ..after.clone() };
         self.band_cells(["phi", "cells"], &settled, &now.carried, &twins, bound);
     }
 
     /// Sources and sinks in the twins of the advected level, of an error `bound` (cells). Volumes: of a cell the error of the level
     /// and a unit of the sums; through a face that of a quotient and five products.
-    fn exchange_level(
-        &mut self,
-        after: &LiquidSnapshot,
-        level: &[f64],
-        (twins, bound): (&mut [Vec<f64>], f64),
-    ) {
+    fn exchange_level(&mut self, after: &LiquidSnapshot, level: &[f64], (twins, bound): (&mut [Vec<f64>], f64)) {
         let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
         let one = grid.cell_volume();
         let sums = twins.iter_mut().map(|twin| {
@@ -168,8 +154,7 @@ impl LiquidComparison<'_> {
             for cell in (0..twin.len()).filter(|&cell| !after.band[cell]) {
                 twin[cell] = REACH;
             }
-            let filled =
-                reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
+            let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
             let sunk = reference::sunk_volumes(taps, &self.open_volumes, level, twin);
             reference::empty_level_sinks(taps, twin);
             let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
@@ -182,10 +167,7 @@ impl LiquidComparison<'_> {
             let in_cells = cells as f64 * (2.0 * bound + 16.0 * EPS + unit);
             (sums[0][which], in_cells + 2.0 * super::largest(others))
         };
-        let [sunk, filled] = [
-            with_bound(0, taps.sink_cells.len()),
-            with_bound(1, taps.source_cells.len()),
-        ];
+        let [sunk, filled] = [with_bound(0, taps.sink_cells.len()), with_bound(1, taps.source_cells.len())];
         let velocity = &self.before.velocity;
         let sides = self.scene.domain.open;
         let left = reference::outflow(&grid, sides, &self.cut.open, velocity, level, dt);
@@ -196,11 +178,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
-    pub(super) fn maccormack(
-        &mut self,
-        after: &LiquidSnapshot,
-        (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3]),
-    ) {
+    pub(super) fn maccormack(&mut self, after: &LiquidSnapshot, (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3])) {
         let (grid, dt) = (self.grid, self.dt());
         let ballistic = self.ballistic();
         let velocity = &self.before.velocity;
@@ -214,9 +192,7 @@ impl LiquidComparison<'_> {
             })
             .collect();
         others.extend(
-            self.near_ballistic().map(|near| {
-                reference::advect_velocity_maccormack(&grid, open, velocity, &near, dt)
-            }),
+            self.near_ballistic().map(|near| reference::advect_velocity_maccormack(&grid, open, velocity, &near, dt)),
         );
         let settled = self.settled(after);
         for axis in Axis::ALL {
@@ -244,11 +220,7 @@ impl LiquidComparison<'_> {
         };
         let (grid, dt) = (self.grid, self.dt());
         let velocity = &self.before.velocity;
-        let pushed = if self.cuts() {
-            3.0 * 64.0 * grid.dx
-        } else {
-            0.0
-        };
+        let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let ballistic = self.ballistic();
         let gravity = self.gravity();
         let advect = |slot: usize, start: [f64; 3]| {
@@ -265,8 +237,8 @@ impl LiquidComparison<'_> {
         let fall = gravity.length() * dt;
         let flying = level.marker_velocity.iter().flatten();
         let fastest = super::largest(flying.map(|v| v.abs())) + fall;
-        let bound = marker_error(&grid, velocity, dt)
-            + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
+        let bound =
+            marker_error(&grid, velocity, dt) + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
         let markers = [&self.before.markers[..], &after.markers];
         let rows = super::advected(markers, |_| bound, advect);
         self.add_advected(rows);
@@ -290,8 +262,7 @@ impl LiquidComparison<'_> {
         let mut counts = vec![0.0; self.grid.n_cells()];
         for x in &markers.position {
             let cell = (DVec3::from(*x) / self.grid.dx).floor();
-            let ijk =
-                [0, 1, 2].map(|a| cell[a].clamp(0.0, (self.grid.cells[a] - 1) as f64) as usize);
+            let ijk = [0, 1, 2].map(|a| cell[a].clamp(0.0, (self.grid.cells[a] - 1) as f64) as usize);
             counts[self.grid.cell(ijk)] += 1.0;
         }
         27.0 * super::largest(counts) / 8.0 / 0.2
@@ -303,9 +274,7 @@ impl LiquidComparison<'_> {
         let alive = || slots.clone().filter_map(|(slot, x)| Some((slot, (*x)?)));
         Markers {
             position: alive().map(|(_, x)| x).collect(),
-            velocity: alive()
-                .map(|(slot, _)| level.marker_velocity[slot])
-                .collect(),
+            velocity: alive().map(|(slot, _)| level.marker_velocity[slot]).collect(),
             spray: alive().map(|(slot, _)| level.spray[slot]).collect(),
         }
     }
@@ -345,9 +314,8 @@ impl LiquidComparison<'_> {
         let level = self.with_air(after, &before.level);
         let thin = reference::thin_liquid(&self.grid, &self.with_air(after, &before.carried));
         let bound = PASS * EPS * REACH;
-        let twins = self.twins(&level, bound, |level| {
-            reference::filter_level(self.level_cells(), &thin, self.motion, level)
-        });
+        let twins =
+            self.twins(&level, bound, |level| reference::filter_level(self.level_cells(), &thin, self.motion, level));
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
@@ -379,8 +347,7 @@ impl LiquidComparison<'_> {
         });
         let whole: f64 = now.component_volume.iter().sum();
         let flying = now.spray.iter().zip(&after.markers);
-        let flying =
-            flying.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
+        let flying = flying.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
         let one = grid.cell_volume();
         let mut total = f64::from(self.step.volume_0) - flying as f64 * one / 8.0;
         if Effects::of(self.scene).exchange() {
@@ -464,8 +431,7 @@ impl LiquidComparison<'_> {
         let numbers = [self.running.seed, self.running.step];
         let (solid, velocity) = (&self.cut.solid_distance, &self.before.velocity);
         let crowd = &now.excess;
-        let [deleted, seeded] =
-            reference::marker_band(&grid, solid, levels, crowd, numbers, velocity, &mut markers);
+        let [deleted, seeded] = reference::marker_band(&grid, solid, levels, crowd, numbers, velocity, &mut markers);
         let slots = self.before.markers.iter().zip(&after.markers);
         let gone = slots.filter(|(x, now)| x.is_some() && now.is_none());
         let gone = gone.count();
@@ -500,8 +466,7 @@ impl LiquidComparison<'_> {
         let phi = &after.liquid_distance;
         let level = self.in_cells(phi);
         let volume = |cell: usize| {
-            self.open_volumes[cell] / grid.cell_volume()
-                * reference::interpolant_part(&grid, &level, cell)
+            self.open_volumes[cell] / grid.cell_volume() * reference::interpolant_part(&grid, &level, cell)
         };
         let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
         let mut markers = self.markers_of_level(before);
@@ -553,8 +518,7 @@ impl LiquidComparison<'_> {
         for (index, &slot) in alive.iter().enumerate() {
             let x = DVec3::from(twin.position[index]);
             let place = Place::Marker(slot, x);
-            if now.spray[slot] != twin.spray[index]
-                && across_borders(&grid, (x + half).into()) != (x + half).to_array()
+            if now.spray[slot] != twin.spray[index] && across_borders(&grid, (x + half).into()) != (x + half).to_array()
             {
                 excused += 1;
                 continue;

@@ -16,8 +16,7 @@ use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
-    self, ActiveCells, Ballistic, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil,
-    TimeStep, VolumeSource,
+    self, ActiveCells, Ballistic, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, TimeStep, VolumeSource,
 };
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
@@ -84,10 +83,7 @@ impl<'a> LiquidComparison<'a> {
         let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else {
             return Ok(None);
         };
-        let grid = Grid {
-            cells: scene.domain.cells,
-            dx: step.dx.into(),
-        };
+        let grid = Grid { cells: scene.domain.cells, dx: step.dx.into() };
         let cut = path.cut_cells();
         let cut = CutCells {
             open: [0, 1, 2].map(|axis| rounded_to_f32(&cut.open[axis])),
@@ -116,19 +112,13 @@ impl<'a> LiquidComparison<'a> {
     }
 
     /// Unknowns and E u* (m^3/s) as the device stores them, and as the twins assemble them. For use before `solve` is compared.
-    pub(super) fn systems(
-        &self,
-        after: &LiquidSnapshot,
-        both: &Both,
-    ) -> Option<[(ActiveCells, Inflow); 2]> {
+    pub(super) fn systems(&self, after: &LiquidSnapshot, both: &Both) -> Option<[(ActiveCells, Inflow); 2]> {
         let area = self.grid.dx * self.grid.dx;
         let assembled = self.twin.active.clone()?;
         let mut stored = after.active_cells(&self.grid);
         stored.seal(both.clip.coupling(), &both.at_rest.prescribed);
-        let rhs = |values: &[f64]| Inflow {
-            values: values.iter().map(|b| area * b).collect(),
-            scale: area * self.twin.flux,
-        };
+        let rhs =
+            |values: &[f64]| Inflow { values: values.iter().map(|b| area * b).collect(), scale: area * self.twin.flux };
         let [stored_rhs, assembled_rhs] = [rhs(&self.before.rhs), rhs(&self.twin.rhs)];
         Some([(stored, stored_rhs), (assembled, assembled_rhs)])
     }
@@ -175,9 +165,7 @@ impl<'a> LiquidComparison<'a> {
             Stage::AdvectVelocity => self.advect_velocity(after),
             Stage::Forces => self.forces(after),
             // A fixed surface stays.
-            Stage::LiquidDistance if effects.markers && !effects.level => {
-                self.liquid_distance(after)
-            }
+            Stage::LiquidDistance if effects.markers && !effects.level => self.liquid_distance(after),
             Stage::ActiveCells => self.active_cells(after, both),
             Stage::RightHandSide => self.right_hand_side(after, clip, both),
             Stage::Solve => self.solve(after, both)?,
@@ -237,12 +225,8 @@ impl<'a> LiquidComparison<'a> {
             let (&gpu, &twin) = (gpu.get(index)?, twin.get(index)?);
             Some((gpu, twin, EPS * twin.abs()))
         };
-        self.table.faces(&grid, ["open fractions", ""], |a, face| {
-            rounded(&device.open[a], &cut.open[a], face)
-        });
-        self.table.cells(&grid, ["distance", "m"], |cell| {
-            rounded(&device.solid_distance, &cut.solid_distance, cell)
-        });
+        self.table.faces(&grid, ["open fractions", ""], |a, face| rounded(&device.open[a], &cut.open[a], face));
+        self.table.cells(&grid, ["distance", "m"], |cell| rounded(&device.solid_distance, &cut.solid_distance, cell));
         self.cut = device.clone();
         self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
     }
@@ -259,25 +243,16 @@ impl<'a> LiquidComparison<'a> {
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = if self.cuts() {
-            3.0 * 64.0 * grid.dx
-        } else {
-            0.0
-        };
+        let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let phi = &self.before.liquid_distance;
         let distance = reference::surface_distance(&grid, solid_distance, phi);
-        let surface = reference::Surface {
-            distance: &distance,
-            radius: f64::from(self.step.marker_radius) * grid.dx,
-        };
+        let surface = reference::Surface { distance: &distance, radius: f64::from(self.step.marker_radius) * grid.dx };
         let error = MarkerError::new(&grid, velocity, surface, dt);
         let sides = self.scene.domain.open;
         let ballistic = self.ballistic();
         let advect = |start: [f64; 3]| {
             let (walls, markers) = (solid_distance, [start]);
-            let advected = reference::advect_markers(
-                &grid, sides, velocity, walls, &surface, &ballistic, &markers, dt,
-            );
+            let advected = reference::advect_markers(&grid, sides, velocity, walls, &surface, &ballistic, &markers, dt);
             advected.0.first().copied()
         };
         let bound = |start: DVec3| error.at(start) + EPS * pushed;
@@ -327,13 +302,7 @@ impl<'a> LiquidComparison<'a> {
 
     /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders. New positions are off by the
     /// roundings of three sums and products in cells, and of their product with dx.
-    fn emission(
-        &mut self,
-        after: &LiquidSnapshot,
-        mut kept: Vec<[f64; 3]>,
-        n_before: usize,
-        borders: usize,
-    ) {
+    fn emission(&mut self, after: &LiquidSnapshot, mut kept: Vec<[f64; 3]>, n_before: usize, borders: usize) {
         let (grid, n_kept) = (self.grid, kept.len());
         let level = Effects::of(self.scene).level;
         let mut walls = self.cut.solid_distance.clone();
@@ -391,10 +360,7 @@ impl<'a> LiquidComparison<'a> {
             self.maccormack(after, (&twin, open));
             return;
         }
-        let others: Vec<_> = self
-            .near_ballistic()
-            .map(|other| advected(&other))
-            .collect();
+        let others: Vec<_> = self.near_ballistic().map(|other| advected(&other)).collect();
         let bounds = |a: usize, face: usize| {
             let of = twin[a][face];
             let others = others.iter().map(|other| (other[a][face] - of).abs());
@@ -405,9 +371,7 @@ impl<'a> LiquidComparison<'a> {
 
     /// Liquid that touched nothing in the last solve, as the device has it.
     fn ballistic(&self) -> Ballistic<'_> {
-        let LiquidSnapshot {
-            filled, ballistic, ..
-        } = &self.before;
+        let LiquidSnapshot { filled, ballistic, .. } = &self.before;
         let ballistic = match self.step.n_markers {
             0 => &[][..],
             _ => ballistic,
@@ -433,12 +397,7 @@ impl<'a> LiquidComparison<'a> {
     }
 
     /// Compares u* on the faces of the band.
-    fn add_band_faces(
-        &mut self,
-        after: &LiquidSnapshot,
-        twin: &[Vec<f64>; 3],
-        bound: impl Fn(usize, usize) -> f64,
-    ) {
+    fn add_band_faces(&mut self, after: &LiquidSnapshot, twin: &[Vec<f64>; 3], bound: impl Fn(usize, usize) -> f64) {
         self.table.faces(&self.grid, ["u*", "m/s"], |a, face| {
             let numbers = (after.velocity_next[a][face], twin[a][face], bound(a, face));
             after.face_band[a][face].then_some(numbers)
@@ -455,19 +414,14 @@ impl<'a> LiquidComparison<'a> {
         let pass = |error: f64| 3.0 * error + 110.0 * EPS * dx;
         let in_solid = pass(pass(pass(outside)));
         let centres = self.cut.solid_distance.iter();
-        let bounds: Vec<f64> = centres
-            .map(|&distance| if distance < 0.0 { in_solid } else { outside })
-            .collect();
+        let bounds: Vec<f64> = centres.map(|&distance| if distance < 0.0 { in_solid } else { outside }).collect();
         let radius = f64::from(self.step.marker_radius) * dx;
         let markers: Vec<[f64; 3]> = after.markers.iter().copied().flatten().collect();
         let mut twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
         reference::empty_sinks(&self.taps, dx, &mut twin);
         let gpu = &after.liquid_distance;
         let differs = |cell: &usize| (gpu[*cell] - twin[*cell]).abs() > bounds[*cell];
-        let mut differing = (0..grid.n_cells())
-            .filter(|&cell| after.band[cell])
-            .filter(differs)
-            .peekable();
+        let mut differing = (0..grid.n_cells()).filter(|&cell| after.band[cell]).filter(differs).peekable();
         let mut excused = vec![false; grid.n_cells()];
         if differing.peek().is_some() {
             // Markers within a rounding of a border, moved to the next cell.
@@ -547,9 +501,7 @@ impl<'a> LiquidComparison<'a> {
             let (gpu, twin) = (after.active[cell], stencil.active(cell));
             Some((number(gpu), number(twin), 0.0))
         });
-        table.faces(&grid, ["weights", ""], |a, face| {
-            Some((after.weight[a][face], stencil.weight[a][face], 0.0))
-        });
+        table.faces(&grid, ["weights", ""], |a, face| Some((after.weight[a][face], stencil.weight[a][face], 0.0)));
         table.cells(&grid, ["free-surface terms", ""], |cell| {
             let (gpu, twin) = (after.dirichlet[cell], stencil.dirichlet[cell]);
             Some((gpu, twin, DIRICHLET_ROUNDINGS * EPS * twin))
@@ -566,20 +518,12 @@ impl<'a> LiquidComparison<'a> {
 
     /// Source of volume control at the rate of the device.
     fn source(&self) -> VolumeSource<'_> {
-        VolumeSource {
-            rate: self.before.report.volume_rate,
-            open_volumes: &self.open_volumes,
-        }
+        VolumeSource { rate: self.before.report.volume_rate, open_volumes: &self.open_volumes }
     }
 
     /// Six products and their sum in the scalar type: up to 12 roundings of six speeds. Volume control adds a product of three, prescribed nodes in
     /// enclosed components products with areas in f32, and obstacles a flux in f32.
-    fn right_hand_side(
-        &mut self,
-        after: &LiquidSnapshot,
-        clip: Option<&SolidClip>,
-        both: Option<&Both>,
-    ) {
+    fn right_hand_side(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
         let active = self.twin.active.take();
         let active = active.expect("active_cells comes before right_hand_side");
@@ -600,8 +544,7 @@ impl<'a> LiquidComparison<'a> {
             closed[cell] = true;
         }
         let flags = |cell: usize| Some((number(after.closed[cell]), number(closed[cell]), 0.0));
-        self.table
-            .cells(&grid, ["closed components", "flag"], flags);
+        self.table.cells(&grid, ["closed components", "flag"], flags);
         let mut rhs: Vec<f64> = twin.values.iter().map(|b| b / area).collect();
         if let Some(clip) = clip {
             for &(cell, flux) in clip.obstacles().flux() {
@@ -633,15 +576,9 @@ impl<'a> LiquidComparison<'a> {
     fn write_back(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
         let active = self.before.active_cells(&grid);
-        let rhs = reference::RightHandSide {
-            values: Vec::new(),
-            scale: 0.0,
-        };
+        let rhs = reference::RightHandSide { values: Vec::new(), scale: 0.0 };
         // In units of dt/(rho dx) the potential is the pressure.
-        let system = PressureSystem {
-            scale: grid.dx * grid.dx,
-            ..PressureSystem::new(active, rhs, 1.0, 1.0)
-        };
+        let system = PressureSystem { scale: grid.dx * grid.dx, ..PressureSystem::new(active, rhs, 1.0, 1.0) };
         let u_star = &self.before.velocity_next;
         let mut twin = u_star.clone();
         let mut valid = reference::write_back(
@@ -667,12 +604,7 @@ impl<'a> LiquidComparison<'a> {
 
     /// A layer takes the mean of up to six faces: 5 roundings of the sum, a quotient. Along obstacles the direction has the roundings of distances up
     /// to 3 dx over the length of the gradient. The velocity of solids is a mean over three nodes and two places.
-    fn extrapolate(
-        &mut self,
-        after: &LiquidSnapshot,
-        clip: Option<&SolidClip>,
-        both: Option<&Both>,
-    ) {
+    fn extrapolate(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
         let layers = reference::n_layers(self.scene.time.cfl);
         let walls = clip.map(|clip| MovingWalls {
@@ -694,9 +626,7 @@ impl<'a> LiquidComparison<'a> {
         let extent = (layers, largest);
         let held = Effects::of(self.scene).separation.then(|| {
             let pairs = self.before.active.iter().zip(&self.before.separated);
-            pairs
-                .map(|(active, separated)| *active && !*separated)
-                .collect::<Vec<_>>()
+            pairs.map(|(active, separated)| *active && !*separated).collect::<Vec<_>>()
         });
         let walls = (walls, held.as_deref());
         reference::extrapolate_one_sided(&grid, &self.cut, walls, valid, extent, &mut twin);
@@ -788,15 +718,13 @@ impl<'a> LiquidComparison<'a> {
         let (mass, speed) = (density * volume, twin.max_speed.max(spray_speed));
         let height = gravity.abs().dot(grid.size());
         let flux = active_speed(&grid, &stencil, velocity) / grid.dx;
-        let divergence =
-            72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + area_error;
+        let divergence = 72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + area_error;
         // Sums over the spray are of whole quanta, 2^-12 cells.
         let spray_mass = density * spray_volume;
         let quantum = grid.dx * (-13.0_f64).exp2() * spray_mass;
         let (way, height_quantum) = (quantum / self.dt(), quantum * gravity.length());
         let energy = 1.5 * mass * speed * speed + 0.5 * way * (grid.dx / self.dt());
-        let ([px, py, pz], [qx, qy, qz], momentum) =
-            (gpu.momentum, twin.momentum, mass * speed + way);
+        let ([px, py, pz], [qx, qy, qz], momentum) = (gpu.momentum, twin.momentum, mass * speed + way);
         // The largest speed is that of the faces, without spray.
         whole! { self.table;
             "volume" "m^3": gpu.volume, twin.volume, volume;
@@ -839,23 +767,12 @@ impl<'a> LiquidComparison<'a> {
             active: after.active.clone(),
             ..State::at_rest(&grid)
         };
-        let twin = State {
-            velocity: self.twin.velocity.clone(),
-            pressure: self.twin.pressure.clone(),
-            ..gpu.clone()
-        };
+        let twin = State { velocity: self.twin.velocity.clone(), pressure: self.twin.pressure.clone(), ..gpu.clone() };
         let shifted = |shift: f64| {
             let twin = self.twin.liquid_distance.iter();
-            let phi: Vec<f64> = twin
-                .zip(&self.twin.distance_bounds)
-                .map(|(phi, bound)| phi + shift * bound)
-                .collect();
+            let phi: Vec<f64> = twin.zip(&self.twin.distance_bounds).map(|(phi, bound)| phi + shift * bound).collect();
             let active = reference::active_cells(&grid, &self.cut.open, &phi, self.theta_floor());
-            State {
-                active: active.stencil.active_mask(),
-                liquid_distance: phi,
-                ..gpu.clone()
-            }
+            State { active: active.stencil.active_mask(), liquid_distance: phi, ..gpu.clone() }
         };
         let surfaces = [0.0, 1.0, -1.0].map(shifted);
         let mut pairs = Vec::new();
@@ -932,12 +849,7 @@ fn close(gpu: &Marker, twin: &Marker, bound: f64) -> bool {
 
 /// Whether the rounding of its start decides the end of a marker: the gradient of the distance jumps, or its sign changes. Compares with starts
 /// shifted by the bound (m) along each diagonal.
-fn depends_on_start(
-    start: [f64; 3],
-    gpu: &Marker,
-    bound: f64,
-    advect: impl Fn([f64; 3]) -> Marker,
-) -> bool {
+fn depends_on_start(start: [f64; 3], gpu: &Marker, bound: f64, advect: impl Fn([f64; 3]) -> Marker) -> bool {
     let shifted = corners().map(|corner| advect((DVec3::from(start) + bound * corner).into()));
     let shifted: Vec<Marker> = shifted.collect();
     let Some(x) = gpu else {

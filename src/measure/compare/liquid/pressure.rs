@@ -8,9 +8,7 @@
 use super::{Both, DIRICHLET_ROUNDINGS, EPS, LiquidComparison, largest, unit};
 use crate::Error;
 use crate::linalg::norm;
-use crate::reference::{
-    ActiveCells, PressureSystem, Stencil, remove_means, solve, solve_iterative,
-};
+use crate::reference::{ActiveCells, PressureSystem, Stencil, remove_means, solve, solve_iterative};
 use crate::scene::{Precision, Solver};
 use crate::sim::LiquidSnapshot;
 use crate::solver::rounding;
@@ -35,11 +33,7 @@ impl LiquidComparison<'_> {
 
     /// Rows `solve` and `assembly`. With solids the right-hand side is b - J v for the computed v. The tolerance then refers to b less the flux of
     /// constrained nodes, from which the solve starts.
-    pub(super) fn solve(
-        &mut self,
-        after: &LiquidSnapshot,
-        both: Option<&Both>,
-    ) -> Result<(), Error> {
+    pub(super) fn solve(&mut self, after: &LiquidSnapshot, both: Option<&Both>) -> Result<(), Error> {
         let grid = self.grid;
         let start = match both.filter(|both| both.touch()) {
             Some(both) => self.subtract_flux(after, both),
@@ -88,20 +82,15 @@ impl LiquidComparison<'_> {
         let solve_bounds = self.compare_stored(after, &stored, &solution, start);
         self.compare_assembled(&stored, &solution, &assembled, &twin, solve_bounds);
         self.twin.pressure = self.in_pascal(&twin);
-        self.twin.active = Some(ActiveCells {
-            stencil: assembled.stencil,
-            closed: assembled.closed,
-            sealed: Vec::new(),
-        });
+        self.twin.active =
+            Some(ActiveCells { stencil: assembled.stencil, closed: assembled.closed, sealed: Vec::new() });
         Ok(())
     }
 
     /// Row `E u* - J v`; subtracts J v from the twin's right-hand side. Norm of b less the flux of constrained nodes, m/s.
     fn subtract_flux(&mut self, after: &LiquidSnapshot, both: &Both) -> f64 {
         let grid = self.grid;
-        let open: Vec<bool> = (0..grid.n_cells())
-            .map(|cell| after.active[cell] && !after.closed[cell])
-            .collect();
+        let open: Vec<bool> = (0..grid.n_cells()).map(|cell| after.active[cell] && !after.closed[cell]).collect();
         let [flux, gross] = both.flux(grid.dx, &open);
         let constrained = both.constrained_flux(grid.dx, &open);
         let before = &self.before.rhs;
@@ -131,9 +120,8 @@ impl LiquidComparison<'_> {
         let solver = &self.scene.solver;
         let eps = unit(after.real);
         // The allowed true residual, and the effect of rounding the solution to its scalar type.
-        let mut target = (solver.tolerance * norm(&stored.rhs).max(start))
-            .max(rounding(solver) * stored.rhs_scale)
-            + summed;
+        let mut target =
+            (solver.tolerance * norm(&stored.rhs).max(start)).max(rounding(solver) * stored.rhs_scale) + summed;
         let residual = norm(&stored.residual(&after.potential));
         let rounded: Vec<f64> = after.potential.iter().map(|x| eps * x.abs()).collect();
         let spread = norm(&magnitudes(&stored.stencil, &rounded));
@@ -153,9 +141,7 @@ impl LiquidComparison<'_> {
         let reach = majorant(&stored.stencil, &stored.closed, allowed.collect());
         let pascal = self.pascal();
         let bounds = reach.iter().zip(&rounded);
-        let bounds: Vec<f64> = bounds
-            .map(|(reach, rounded)| pascal * (reach + rounded))
-            .collect();
+        let bounds: Vec<f64> = bounds.map(|(reach, rounded)| pascal * (reach + rounded)).collect();
         self.table.cells(&self.grid, ["pressure", "Pa"], |cell| {
             let (gpu, twin) = (pascal * after.potential[cell], pascal * solution[cell]);
             mask[cell].then_some((gpu, twin, bounds[cell]))
@@ -231,11 +217,7 @@ fn majorant(stencil: &Stencil, closed: &[Vec<usize>], r: Vec<f64>) -> Vec<f64> {
         closed: Vec::new(),
         sealed: Vec::new(),
     };
-    let settings = Solver {
-        tolerance: ROUGH,
-        max_iterations: 10_000,
-        ..Solver::default()
-    };
+    let settings = Solver { tolerance: ROUGH, max_iterations: 10_000, ..Solver::default() };
     let (mut bound, _) = solve_iterative(&unit_system(active, r, 0.0), &settings);
     for component in closed {
         let most = largest(component.iter().map(|&cell| bound[cell]));
