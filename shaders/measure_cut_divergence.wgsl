@@ -1,14 +1,13 @@
 // diagnose with solids, third of four: the largest |E u - J v| / dx^3 of an active cell in quads with patches, 1/s.
 // One thread per such quad.
 // level, step. coupling, words, quad_pairs, flags, x: see coupling_flux. velocity: faces, m/s. open: apertures. maxima:
-// bits, second. valid: separated cells, which open.
+// bits, second.
 #import coupling_flux
 #import dispatch
 #import divergence
 #import flux
 #import layout
 #import step
-#import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -20,7 +19,6 @@
 @group(0) @binding(7) var<storage, read> velocity: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> open: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> maxima: array<atomic<u32>>;
-@group(0) @binding(10) var<storage, read> valid: array<u32>;
 
 @compute @workgroup_size(WG_SIZE)
 fn measure_cut_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -29,6 +27,5 @@ fn measure_cut_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(
         return;
     }
     let quad = words[wet];
-    let opens = bit_lanes(valid[quad] >> LEAVING_FIRST);
-    note_divergence(quad, select(net_inflow(quad) - flux(wet), taken_by_obstacles(quad), opens));
+    note_divergence(quad, net_inflow(quad) - flux(wet));
 }

@@ -1,10 +1,9 @@
 // diagnose, second: the largest |E u| / dx^3 of an active cell, 1/s; separated ones open. One thread per active quad.
 // level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: apertures. maxima: bits,
-// second. valid: separated cells.
+// second.
 #import active
 #import dispatch
 #import divergence
-#import valid
 #import flux
 #import layout
 #import step
@@ -17,7 +16,6 @@
 @group(0) @binding(5) var<storage, read> velocity: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> open: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> maxima: array<atomic<u32>>;
-@group(0) @binding(8) var<storage, read> valid: array<u32>;
 
 @compute @workgroup_size(WG_SIZE)
 fn measure_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -26,6 +24,5 @@ fn measure_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(loca
         return;
     }
     let quad = active_quad(list[index]);
-    let opens = bit_lanes(valid[quad] >> LEAVING_FIRST);
-    note_divergence(quad, select(net_inflow(quad), taken_by_obstacles(quad), opens));
+    note_divergence(quad, net_inflow(quad));
 }

@@ -1,6 +1,6 @@
 // diagnose with solids, second of four: as measure_divergence, in quads without patches. One thread per active quad.
 // level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: apertures. maxima: bits,
-// second. walls: see moving_walls. valid: separated cells, which open.
+// second. walls: see moving_walls.
 #import active
 #import dispatch
 #import divergence
@@ -8,7 +8,6 @@
 #import layout
 #import moving_walls
 #import step
-#import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -19,7 +18,6 @@
 @group(0) @binding(6) var<storage, read> open: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> maxima: array<atomic<u32>>;
 @group(0) @binding(8) var<storage, read> walls: array<u32>;
-@group(0) @binding(9) var<storage, read> valid: array<u32>;
 
 @compute @workgroup_size(WG_SIZE)
 fn measure_uncut_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -29,7 +27,6 @@ fn measure_uncut_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builti
     }
     let quad = active_quad(list[index]);
     if (walls[quad] & WET) == 0u {
-        let opens = bit_lanes(valid[quad] >> LEAVING_FIRST);
-        note_divergence(quad, select(net_inflow(quad), taken_by_obstacles(quad), opens));
+        note_divergence(quad, net_inflow(quad));
     }
 }

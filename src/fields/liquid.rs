@@ -199,6 +199,8 @@ arrays! {
             pub array obstacle_flux: f32 [padded.len()] if plan.effects.moving_obstacles,
             /// Per quad: separated lanes, and those that may separate (`common/separation.wgsl`).
             pub array separated: u32 [padded.quads] if plan.effects.separation,
+            /// Per quad: active lanes that did not separate in the last solve.
+            pub(crate) array projected: u32 [padded.quads] if plan.effects.separation,
             /// The same of the last sub-step, during the solve.
             pub array separated_before: u32 [padded.quads] if plan.effects.separation,
             /// Numbers of a round of separation (`common/separation.wgsl`).

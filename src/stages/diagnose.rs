@@ -22,7 +22,9 @@ pub fn diagnose(
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
     let real = liquid.plan.real;
-    let open = [("open", liquid.solve_open().into())];
+    // The divergence of separated cells does not vanish.
+    let flags = liquid.projected.as_ref().unwrap_or(&solver.flags);
+    let open = [("open", liquid.solve_open().into()), ("flags", flags.into())];
     let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
     let filled = level.map(|level| ("liquid_distance", (&level.next_level).into()));
     let bound = |source: Source| {
@@ -52,7 +54,7 @@ pub fn diagnose(
     let divergence = Kernel::new(gpu, &divergence, with_flux(real))?.bind(gpu, &open, &[&clip, solver, liquid])?;
     list.push(divergence.indirect(&solver.args, 0));
     if let Some((_, coupling, x)) = solids {
-        let own = [("x", x.into()), open[0]];
+        let own = [("x", x.into()), open[0], open[1]];
         let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), with_flux(x.real))?;
         let bound = kernel.bind(gpu, &own, &[liquid, solver, coupling])?;
         list.push(bound.threads(coupling.size.quads));
