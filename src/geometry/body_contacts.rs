@@ -79,13 +79,6 @@ impl Skin {
         low.cmple(self.high + reach).all() && high.cmpge(self.low - reach).all()
     }
 
-    /// Whether a point (m) lies in the body, no deeper than `reach` (m).
-    fn contains(&self, x: DVec3, reach: f64) -> bool {
-        let mesh = &self.mesh;
-        let nearest = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach);
-        nearest.is_some_and(|(nearest, _)| nearest.is_inside)
-    }
-
     /// The pair of a node (m) of another body and the nearest point of this surface within `reach` (m).
     fn beside(&self, node: u32, x: DVec3, reach: f64) -> Option<ContactPair> {
         let mesh = &self.mesh;
@@ -382,21 +375,15 @@ fn edge_pairs(positions: &[DVec3], skin: &Skin, other: &Skin, reach: f64, pairs:
         edges.iter().filter(near).copied().collect()
     };
     let [ours, theirs] = [near(&skin.edges, other), near(&other.edges, skin)];
-    // Edges that lead back into both bodies do so only where these overlap.
-    let overlap = |x: DVec3| skin.contains(x, reach) && other.contains(x, reach);
     let found = ours.par_iter().flat_map_iter(|a| {
-        let pair = move |b: &Edge| {
-            let (pair, middle) = edge_pair(ends, a, b, reach)?;
-            (pair.gap >= 0.0 || overlap(middle)).then_some(pair)
-        };
+        let pair = |b: &Edge| edge_pair(ends, a, b, reach);
         theirs.iter().filter_map(pair)
     });
     pairs.par_extend(found);
 }
 
-/// The pair of the nearest points of two edges and the middle between them, if they are inside the edges and the surfaces are not nearer
-/// beside them.
-fn edge_pair(ends: impl Fn(&Edge) -> [DVec3; 2], a: &Edge, b: &Edge, reach: f64) -> Option<(ContactPair, DVec3)> {
+/// The pair of the nearest points of two edges, if they are inside the edges and the surfaces are not nearer beside them.
+fn edge_pair(ends: impl Fn(&Edge) -> [DVec3; 2], a: &Edge, b: &Edge, reach: f64) -> Option<ContactPair> {
     let ([a0, a1], [b0, b1]) = (ends(a), ends(b));
     let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
     let apart = (a0.max(a1) + reach).cmplt(b0.min(b1)).any() || (b0.max(b1) + reach).cmplt(a0.min(a1)).any();
@@ -432,6 +419,5 @@ fn edge_pair(ends: impl Fn(&Edge) -> [DVec3; 2], a: &Edge, b: &Edge, reach: f64)
         return None;
     }
     let points = [(a.nodes[0], 1.0 - s), (a.nodes[1], s), (b.nodes[0], t - 1.0), (b.nodes[1], -t)];
-    let pair = ContactPair::new(points.into_iter(), normal, sign * distance);
-    Some((pair, b0 + t * v + 0.5 * arm))
+    Some(ContactPair::new(points.into_iter(), normal, sign * distance))
 }

@@ -7,7 +7,7 @@
 //! S^-1 f + X_F lambda_F,   W_FF lambda_F = r_F - G_F S^-1 f    (F: held rows)
 //! ```
 //!
-//! A search exchanges rows that pull and rows that are violated until there are none ([`RowSearch`]).
+//! A search changes the held rows until none pulls and no other is violated ([`RowSearch`]).
 
 use rayon::prelude::*;
 
@@ -17,8 +17,12 @@ use super::complementarity::{Complementarity, DenseCholesky, complementarity};
 const COMPLIANCE: f64 = 1e-11;
 /// Violation of a row, and pull in terms of the velocity that it alone causes, relative to the largest velocity.
 const TOLERANCE: f64 = 1e-6;
-/// Exchanges without fewer wrong rows, after which rows are held and no more let go.
+/// Solutions without fewer wrong rows that end a search.
 const PATIENCE: u32 = 4;
+/// Part of the diagonal of W that a row must keep beside others to be independent of them.
+const INDEPENDENT: f64 = 1e-8;
+/// Least response of the velocities that a search assumes.
+const LEAST_RESPONSE: f64 = 1e-3;
 
 /// A row: sum of the entries times v >= least.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,6 +90,38 @@ impl UnilateralRows {
     pub fn solve(&self, v: &[f64]) -> Complementarity {
         let n = self.n();
         complementarity(|i, j| self.matrix[n * i + j], &self.slacks(v))
+    }
+
+    /// W lambda.
+    fn products(&self, lambda: &[f64]) -> Vec<f64> {
+        let rows = self.matrix.chunks_exact(self.n().max(1));
+        rows.map(|row| row.iter().zip(lambda).map(|(w, l)| w * l).sum()).collect()
+    }
+
+    /// Independent rows among those with a force: those that cause the largest velocities first.
+    fn basis(&self, lambda: &[f64]) -> Vec<bool> {
+        let n = self.n();
+        let velocity = |i: usize| lambda[i] * self.matrix[n * i + i];
+        let mut rows: Vec<usize> = (0..n).filter(|&i| lambda[i] > 0.0).collect();
+        rows.sort_by(|&a, &b| velocity(b).total_cmp(&velocity(a)));
+        let mut held = vec![false; n];
+        // Rows of the Cholesky factor of what is held.
+        let mut factor: Vec<(usize, Vec<f64>)> = Vec::new();
+        for row in rows {
+            let mut parts: Vec<f64> = Vec::new();
+            for (other, of_other) in &factor {
+                let known = of_other.iter().zip(&parts).map(|(a, b)| a * b).sum::<f64>();
+                parts.push((self.matrix[n * row + other] - known) / of_other[parts.len()]);
+            }
+            let own = self.matrix[n * row + row];
+            let left = own - parts.iter().map(|part| part * part).sum::<f64>();
+            if left > INDEPENDENT * own {
+                parts.push(left.sqrt());
+                factor.push((row, parts));
+                held[row] = true;
+            }
+        }
+        held
     }
 
     /// G^T lambda.
@@ -171,10 +207,15 @@ impl HeldRows<'_> {
     }
 }
 
-/// The search for the rows to hold.
+/// The search for the rows to hold where f depends on v. It alternates with solves that hold rows as equations.
+///
+/// The rows to hold next are those that push in the complementarity problem of theta W at the last solution: theta is the response of v to lambda
+/// over that without the dependence, from the last solution and that without lambda. So dependent rows are not held together.
 #[derive(Clone, Debug)]
 pub struct RowSearch {
     held: Vec<bool>,
+    /// G v - r without lambda.
+    free: Vec<f64>,
     fewest: usize,
     patience: u32,
 }
@@ -182,8 +223,12 @@ pub struct RowSearch {
 impl RowSearch {
     /// Begins with the rows that push, for the velocities without lambda and with the forces at hand.
     pub fn new(system: &UnilateralRows, v: &[f64]) -> RowSearch {
-        let start = system.solve(v);
-        RowSearch { held: start.z.iter().map(|&lambda| lambda > 0.0).collect(), fewest: usize::MAX, patience: PATIENCE }
+        RowSearch {
+            held: system.basis(&system.solve(v).z),
+            free: system.slacks(v),
+            fewest: usize::MAX,
+            patience: PATIENCE,
+        }
     }
 
     /// Rows that are held.
@@ -191,36 +236,42 @@ impl RowSearch {
         &self.held
     }
 
-    /// Exchanges the wrong rows of a solution and returns how many there were, and whether any was exchanged. Rows that pull are wrong where no
-    /// lambda >= 0 of the held rows has the same force: dependent rows share it in any way. After four times without fewer wrong rows none is
-    /// let go any more: then one may pull.
+    /// Changes the rows to hold after a solution, and returns how many were wrong, and whether another solve is worth it. Rows that pull are
+    /// wrong where no lambda >= 0 of the held rows has the same effect. After four solutions without fewer wrong rows the search ends.
     pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64]) -> (usize, bool) {
         let n = system.n();
-        let largest = v.iter().fold(0.0, |most, v| f64::max(most, v.abs()));
+        let tolerance = TOLERANCE * v.iter().fold(0.0, |most, v| f64::max(most, v.abs()));
         let slacks = system.slacks(v);
-        let pulls = |i: usize| lambda[i] * system.matrix[n * i + i] < -TOLERANCE * largest;
+        let pulls = |i: usize| lambda[i] * system.matrix[n * i + i] < -tolerance;
         let let_go = match (0..n).any(|i| self.held[i] && pulls(i)) {
-            true => self.not_pushing(system, lambda, TOLERANCE * largest),
+            true => self.not_pushing(system, lambda, tolerance),
             false => vec![false; n],
         };
         let wrong = |&i: &usize| match self.held[i] {
             true => let_go[i] && pulls(i),
-            false => slacks[i] < -TOLERANCE * largest,
+            false => slacks[i] < -tolerance,
         };
-        let wrong: Vec<usize> = (0..n).filter(wrong).collect();
-        if wrong.len() < self.fewest {
-            self.fewest = wrong.len();
+        let wrong = (0..n).filter(wrong).count();
+        if wrong == 0 {
+            return (0, false);
+        }
+        if wrong < self.fewest {
+            self.fewest = wrong;
         } else {
-            self.patience = self.patience.saturating_sub(1);
+            self.patience -= 1;
         }
-        let mut exchanged = false;
-        for &row in &wrong {
-            if !self.held[row] || self.patience > 0 {
-                self.held[row] = !self.held[row];
-                exchanged = true;
-            }
-        }
-        (wrong.len(), exchanged)
+        let dry = system.products(lambda);
+        let changes = slacks.iter().zip(&self.free).map(|(now, free)| now - free);
+        let work: f64 = lambda.iter().zip(changes).map(|(l, change)| l * change).sum();
+        let all: f64 = lambda.iter().zip(&dry).map(|(l, w)| l * w).sum();
+        let theta = (work / all).clamp(LEAST_RESPONSE, 1.0);
+        let q = slacks.iter().zip(&dry).map(|(slack, w)| slack - theta * w);
+        let q: Vec<f64> = q.collect();
+        let next = complementarity(|i, j| theta * system.matrix[n * i + j], &q);
+        let next = system.basis(&next.z);
+        let changed = next != self.held;
+        self.held = next;
+        (wrong, changed && self.patience > 0)
     }
 
     /// Held rows without force in the lambda >= 0 of the held rows whose velocities are nearest to those of `lambda`; none where they are the same
@@ -229,20 +280,16 @@ impl RowSearch {
         let n = system.n();
         let rows: Vec<usize> = (0..n).filter(|&i| self.held[i]).collect();
         let entry = |i: usize, j: usize| system.matrix[n * rows[i] + rows[j]];
-        let products = |of: &dyn Fn(usize) -> f64| -> Vec<f64> {
-            let sum = |i: usize| (0..rows.len()).map(|j| entry(i, j) * of(j)).sum();
-            (0..rows.len()).map(sum).collect()
-        };
-        let wanted = products(&|j| lambda[rows[j]]);
-        let q: Vec<f64> = wanted.iter().map(|w| -w).collect();
-        let pushing = complementarity(entry, &q).z;
-        let reached = products(&|j| pushing[j]);
-        let off = wanted.iter().zip(reached).map(|(a, b)| (a - b).abs());
-        let mut without = vec![false; n];
-        if off.fold(0.0, f64::max) > tolerance {
-            let pairs = rows.iter().zip(pushing);
-            pairs.for_each(|(&row, z)| without[row] = z == 0.0);
+        let wanted = system.products(lambda);
+        let q: Vec<f64> = rows.iter().map(|&row| -wanted[row]).collect();
+        let mut pushing = vec![0.0; n];
+        let found = complementarity(entry, &q);
+        rows.iter().zip(found.z).for_each(|(&row, z)| pushing[row] = z);
+        let reached = system.products(&pushing);
+        let off = rows.iter().map(|&row| (wanted[row] - reached[row]).abs());
+        match off.fold(0.0, f64::max) > tolerance {
+            true => pushing.iter().map(|z| *z == 0.0).collect(),
+            false => vec![false; n],
         }
-        without
     }
 }

@@ -6,7 +6,7 @@
 //! small. S^-1 G^T is computed by the factor of S.
 //!
 //! In liquid F has J^T p, which depends on v. The rows to hold are first those of this problem at the pressure without rows. Then each solve
-//! for pressures and velocities has the held rows as equations, and the wrong ones are exchanged.
+//! for pressures and velocities has the held rows as equations, until none pulls and no other is violated.
 //!
 //! The rows hold at the nearest points of the start. Where bodies still meet in the motion by dt v, the rows of these meetings join, and it is solved
 //! again, at most four times.

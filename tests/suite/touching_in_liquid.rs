@@ -1,7 +1,7 @@
 //! Solids that touch each other (`solver.solid_contact`) in liquid, and on the device.
 
 use cutwater::elastic::Solids;
-use cutwater::geometry::contact_pairs;
+use cutwater::geometry::{ContactPair, contact_pairs};
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
@@ -96,15 +96,16 @@ solid_contact = true
     ))
 }
 
-/// Largest overlap of solids (m) and the momentum of each, kg m/s.
+/// Largest overlap of a node with another solid (m) and the momentum of each, kg m/s.
 fn numbers(solids: &Solids, state: &State) -> (f64, Vec<DVec3>) {
     let x = |node: usize| solids.rest[node] + DVec3::from(state.displacement[node]);
     let p = |node: usize| solids.mass[node] * DVec3::from(state.node_velocity[node]);
     let positions: Vec<DVec3> = (0..solids.rest.len()).map(x).collect();
     let bodies = solids.bodies.iter();
     let ranges: Vec<_> = bodies.clone().map(|body| body.triangles.clone()).collect();
-    let pairs = contact_pairs(&positions, &solids.triangles, &ranges, 0.05);
-    let overlap = pairs.iter().fold(0.0, |worst, pair| f64::max(worst, -pair.gap));
+    let pairs = contact_pairs(&positions, &solids.triangles, &ranges, 0.1);
+    let of_node = |pair: &&ContactPair| pair.points.iter().any(|point| point.1.abs() == 1.0);
+    let overlap = (pairs.iter().filter(of_node)).fold(0.0, |worst, pair| f64::max(worst, -pair.gap));
     (overlap, bodies.map(|body| body.nodes.clone().map(p).sum()).collect())
 }
 
@@ -177,14 +178,14 @@ fn blocks_fall_in_water_without_passing() {
         let scene = falling(young, density, separation);
         let (overlap, solves, wrong, state) = run(&scene, &Backend::Cpu, 60);
         assert!(overlap <= 0.005, "{what}: {overlap} m");
-        // In three sub-steps of a hundred a row may pull, as measured beforehand.
-        assert!(solves > 1 && wrong <= 2, "{what}: {solves}, {wrong}");
+        // Measured beforehand in two dimensions: in up to 3 of 73 sub-steps, at 300 kg/m^3.
+        assert!(solves > 1 && wrong <= 3, "{what}: {solves}, {wrong}");
         assert!(state.node_velocity.iter().flatten().all(|v| v.abs() < 5.0), "{what}");
     }
 }
 
-/// A block as heavy as water, pressed to the floor by a plate under water: the liquid between them leaves and keeps its volume, the solves
-/// converge, and nothing overlaps.
+/// A block as heavy as water, pressed to the floor by a plate under water: the liquid between them leaves at no more than 20 times the speed of
+/// the plate and keeps its volume, the solves converge, and nothing overlaps.
 #[test]
 fn a_piston_presses_a_block_under_water() {
     let scene = scene(
@@ -236,6 +237,7 @@ solid_contact = true
             assert!((volume - 1.0).abs() <= 0.02, "{backend:?}, sub-step {step}: {volume}");
         }
         println!("{backend:?}: {fastest} m/s, overlap {overlap} m, {pressed} sub-steps pressed, {unsettled} unsettled");
+        assert!(fastest <= 20.0 * 0.1, "{backend:?}: {fastest} m/s");
         // Where it starts and where it stops, rows may pull for a sub-step.
         assert!(unsettled <= 2, "{backend:?}: {unsettled} sub-steps");
         assert!(pressed > 12, "the plate presses the block");
