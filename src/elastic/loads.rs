@@ -15,7 +15,7 @@ pub struct TimedLoad {
 }
 
 impl Solids {
-    /// Sets [`Solids::load`] to the mean between two times (s). Returns whether loads change over time.
+    /// Sets the loads to the mean between two times (s). Returns whether loads change over time.
     pub fn set_load(&mut self, times: [f64; 2]) -> bool {
         let timed = !self.timed_loads.is_empty();
         if timed {

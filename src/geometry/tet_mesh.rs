@@ -120,6 +120,9 @@ impl TetMesh {
         for x in &mut mesh.nodes {
             *x = solid.stretch * placement.put(*x, centre);
         }
+        if let Some(size) = domain {
+            ensure_across(solid, mesh.bounds(), what, size)?;
+        }
         match mesh.fault() {
             Some(fault) => Err(error(fault)),
             None => Ok(mesh),
@@ -357,4 +360,26 @@ struct Side {
     place: u32,
     /// Whether the ascending order is counter-clockwise seen from outside the element.
     even: bool,
+}
+
+/// Refuses the mesh of a file that leaves a gap to the walls of a slab. `bounds`, stretched, and `size` of the domain, m.
+fn ensure_across(solid: &Solid, [low, high]: [DVec3; 2], what: &str, size: DVec3) -> Result<(), Error> {
+    let file = matches!(solid.mesh, SolidMesh::File { .. } | SolidMesh::Surface { .. });
+    let gap = |axis: &usize| (low[*axis].abs()).max((high[*axis] - size[*axis]).abs()) > 1e-6 * size[*axis];
+    let mut across = (0..3).filter(|&axis| file && solid.stretch[axis] != 1.0);
+    match across.find(gap) {
+        Some(axis) => {
+            let (name, stretch) = (["x", "y", "z"][axis], solid.stretch[axis]);
+            Err(Error::input(
+                what,
+                format!(
+                    "leaves a gap to the walls of the slab: along {name} it extends from {} to {} m",
+                    low[axis] / stretch,
+                    high[axis] / stretch
+                ),
+                format!("scale and move it so that it extends from 0 to {} m along {name}", size[axis] / stretch),
+            ))
+        }
+        None => Ok(()),
+    }
 }

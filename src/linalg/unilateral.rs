@@ -50,14 +50,16 @@ pub struct UnilateralRows {
     rows: Vec<Row>,
     columns: Vec<Vec<f64>>,
     matrix: Vec<f64>,
+    /// Components of v.
+    size: usize,
 }
 
 impl UnilateralRows {
     /// Computes X and W. `solve`: S^-1 of n components, 0 where they are prescribed; rows of prescribed components alone cannot be met and are
     /// dropped.
-    pub fn new(rows: Vec<Row>, n: usize, solve: impl Fn(Vec<f64>) -> Vec<f64> + Sync) -> UnilateralRows {
+    pub fn new(rows: Vec<Row>, size: usize, solve: impl Fn(Vec<f64>) -> Vec<f64> + Sync) -> UnilateralRows {
         let column = |row: &Row| {
-            let mut force = vec![0.0; n];
+            let mut force = vec![0.0; size];
             row.entries.iter().for_each(|&(at, n)| force[at] += n);
             solve(force)
         };
@@ -74,7 +76,7 @@ impl UnilateralRows {
             }
             matrix[n * i + i] *= 1.0 + COMPLIANCE;
         }
-        UnilateralRows { rows, columns, matrix }
+        UnilateralRows { rows, columns, matrix, size }
     }
 
     fn n(&self) -> usize {
@@ -126,8 +128,7 @@ impl UnilateralRows {
 
     /// G^T lambda.
     pub fn forces(&self, lambda: &[f64]) -> Vec<f64> {
-        let size = self.columns.first().map_or(0, Vec::len);
-        let mut forces = vec![0.0; size];
+        let mut forces = vec![0.0; self.size];
         for (row, lambda) in self.rows.iter().zip(lambda) {
             for &(at, n) in &row.entries {
                 forces[at] += lambda * n;

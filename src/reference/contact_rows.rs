@@ -161,7 +161,9 @@ pub(super) fn solve_in_rows(
             break;
         }
         known.clone_from(&rows);
+        let n = rows.len() as u32;
         let Some(rows) = unilateral(solver, &without, rows)? else {
+            solved.2.unsettled += n;
             break;
         };
         let found = rows.solve(free.as_flattened());
@@ -204,7 +206,9 @@ pub(super) fn solve_coupled_in_rows(
             break;
         }
         known.clone_from(&rows);
+        let n = rows.len() as u32;
         let Some(rows) = unilateral(together.solver, solid, rows)? else {
+            report.unsettled += n;
             break;
         };
         let mut search = RowSearch::new(&rows, &free);

@@ -226,7 +226,10 @@ impl Contacts {
     pub fn rows(&self, reach: f64) -> Vec<Row> {
         let nodes = self.surfaces.iter().enumerate();
         let rows = nodes.flat_map(|(node, surfaces)| {
-            let near = |surface: &&Surface| surface.gap <= reach;
+            let prescribed = self.prescribed[node];
+            // A row of prescribed components alone cannot be met.
+            let free = move |normal: DVec3| (0..3).any(|axis| !prescribed[axis] && normal[axis] != 0.0);
+            let near = move |surface: &&Surface| surface.gap <= reach && free(surface.normal);
             surfaces.iter().flatten().filter(near).map(move |surface| {
                 let normal = surface.normal.to_array().into_iter().enumerate();
                 Row { entries: normal.map(|(axis, n)| (3 * node + axis, n)).collect(), least: -surface.gap / self.dt }

@@ -119,9 +119,13 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
             SolidMesh::Box { size, .. } => {
                 let half = 0.5 * (solid.placement.scale * (solid.placement.rotate * size).abs())[axis];
                 let middle = solid.placement.translate[axis];
-                if solid.placement.is_along(axis)
-                    && ((middle - half).abs() > slack || (middle + half - thickness).abs() > slack)
-                {
+                if !solid.placement.is_along(axis) {
+                    return Err(at([
+                        "its placement turns it out of the plane".to_owned(),
+                        format!("let placement.rotate.axis point along {name}"),
+                    ]));
+                }
+                if (middle - half).abs() > slack || (middle + half - thickness).abs() > slack {
                     return Err(at([
                         format!(
                             "leaves a gap to the walls of the slab: along {name} it extends from {} to {} m",
@@ -134,6 +138,24 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
             }
             SolidMesh::File { .. } | SolidMesh::Surface { .. } => {}
         }
+        let initial = &solid.initial;
+        let varies = initial
+            .velocity_gradient
+            .iter()
+            .enumerate()
+            .any(|(row, gradient)| gradient[axis] != 0.0 || row == axis && *gradient != DVec3::ZERO);
+        let of_plane = (DVec3::ONE - DVec3::AXES[axis]) * initial.spin;
+        let initial = [
+            (initial.velocity[axis] != 0.0, "initial.velocity"),
+            (of_plane != DVec3::ZERO, "initial.spin"),
+            (varies, "initial.velocity_gradient"),
+            (initial.scale[axis] != 1.0, "initial.scale"),
+        ];
+        if let Some((_, key)) = initial.iter().find(|(moves, _)| *moves) {
+            let cure =
+                format!("let the body move and deform in the plane only, which the rollers allow, not along {name}");
+            return Err(at([format!("{key} moves it out of the plane of the slab"), cure]));
+        }
         solid.stretch = slab.stretches();
         for pin in &mut solid.pins {
             shape(slab, &mut pin.region).map_err(at)?;
@@ -143,6 +165,10 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
         }
         for load in &mut solid.loads {
             shape(slab, &mut load.region).map_err(at)?;
+            let (LoadKind::Force(value) | LoadKind::Traction(value)) = load.kind;
+            if value[axis] != 0.0 || load.keyframes.iter().any(|frame| frame.value[axis] != 0.0) {
+                return Err(at(across("a load")));
+            }
             if let LoadKind::Force(force) = &mut load.kind {
                 *force *= stretch;
                 let keyframes = load.keyframes.iter_mut();

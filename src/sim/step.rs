@@ -395,7 +395,7 @@ impl SubStep<'_, '_> {
             solids.solve_in_contact(gpu, recorder, &mut readbacks.answer, &polynomial)?;
         self.readback.velocity = Some((outcome, contact));
         self.readback.seconds.append(&mut seconds);
-        if contact.unsettled > 0 {
+        if contact.unsettled > 0 && solids.contacts.is_none() {
             // The velocities solve a system only if all nodes are constrained.
             recording(&mut self.recorder, gpu).clear(&solids.buffers.freedom);
         }

@@ -17,7 +17,7 @@ use crate::elastic::Solids;
 use crate::fields::{SolidBuffers, SolidSystemBuffers, variant};
 use crate::gpu::{Gpu, Readback, RealBuffer, Recorder};
 use crate::linalg::{HeldRows, Row, UnilateralRows};
-use crate::scene::{Formulation, Solver};
+use crate::scene::{Formulation, Precision, Solver};
 
 use super::schur::{MOST_COMPONENTS, MOST_WETTED, refines};
 
@@ -27,7 +27,7 @@ pub type RowsOf<'a> = &'a mut dyn FnMut(&[f64], &[Row]) -> Result<Option<Vec<Row
 /// Refuses contact of solids that are too large for the host's factor, or a solve without f64.
 ///
 /// # Errors
-/// [`Error::Limit`] with what it needs.
+/// [`Error::Input`] for a setting, [`Error::Limit`] with what the adapter or the solids lack.
 pub fn check_contact(solids: &Solids, wet: bool, solver: &Solver, f64: bool) -> Result<(), Error> {
     if !solver.solid_contact {
         return Ok(());
@@ -41,12 +41,20 @@ pub fn check_contact(solids: &Solids, wet: bool, solver: &Solver, f64: bool) -> 
             cure: "use --backend cpu, or solid_contact = false".to_owned(),
         })
     };
+    let refuse = |setting: &str, other: &str| {
+        Err(Error::input(
+            "solver.solid_contact",
+            format!("contact of solids with each other does not work with {setting} on the GPU"),
+            format!("use {other}, --backend cpu, or solid_contact = false"),
+        ))
+    };
     let mut surface = solids.triangles.as_flattened().to_vec();
     surface.sort_unstable();
     surface.dedup();
     match (3 * solids.rest.len(), 3 * surface.len()) {
+        _ if solver.precision == Precision::F32 => refuse("precision = \"f32\"", "\"mixed\""),
+        _ if wet && solver.formulation == Formulation::TwoField => refuse("formulation = \"two_field\"", "\"auto\""),
         _ if !refines(solver, variant(f64, solver.precision)) => limit(1, 0, "outer loop in f64"),
-        _ if wet && solver.formulation == Formulation::TwoField => limit(1, 0, "solve in the condensed form"),
         (n, _) if n > MOST_COMPONENTS => limit(n, MOST_COMPONENTS, "components of the nodes of solids"),
         (_, n) if wet && n > MOST_WETTED => limit(n, MOST_WETTED, "components of the nodes on surfaces in liquid"),
         _ => Ok(()),

@@ -167,8 +167,8 @@ impl Row {
         }
         let ends = ENDS.iter().enumerate();
         let spread = ends.filter_map(|(end, text)| Some((end, self.spread(name.strip_suffix(text)?)?)));
-        let value = spread.map(|(end, Spread { median, min, max })| [median, min, max][end]);
-        value.last().into()
+        let mut value = spread.map(|(end, Spread { median, min, max })| [median, min, max][end]);
+        value.next_back().into()
     }
 
     /// A number; NaN if absent.
