@@ -987,10 +987,6 @@ fn what_varies_across_a_slab_is_refused() {
         ("solid[0].mesh={ sphere = { radius = 0.2, cell_size = 0.1 } }", "solid[0]: a ball varies along z"),
         ("solid[0].initial.velocity=[0, 0, 1]", "solid[0]: initial.velocity moves it out of the plane"),
         ("solid[0].initial.spin=[1, 0, 0]", "solid[0]: initial.spin moves it out of the plane"),
-        (
-            "solid[0].placement.rotate={ axis = [1, 0, 0], degrees = 20 }",
-            "solid[0]: its placement turns it out of the plane",
-        ),
         ("solid[0].mesh.box.size=[0.2, 0.5, 0.9]", "solid[0]: leaves a gap to the walls of the slab"),
         (
             "solid[0].pin[0].region={ sphere = { centre = [1.3, 0, 0.5], radius = 0.3 } }",
