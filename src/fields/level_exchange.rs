@@ -115,8 +115,7 @@ impl LevelExchange {
     /// Writes the volumes that the sources emit in a sub-step of dt (s).
     pub fn write_step(&self, gpu: &Gpu, taps: &SourcesAndSinks, sources: Running, (dt, cell_volume): (f64, f64)) {
         if let Some(array) = &self.inflows {
-            let volume = |source| taps.inflow(sources, source, dt) / cell_volume;
-            let inflows = (0..array.len() as u32).map(|source| volume(source) as f32);
+            let inflows = taps.inflows(sources, dt).map(|volume| (volume / cell_volume) as f32);
             gpu.upload(array, &inflows.collect::<Vec<_>>());
         }
     }

@@ -364,6 +364,11 @@ impl SourcesAndSinks {
         dt * self.flux_of(source, sources.running & !sources.starting)
     }
 
+    /// [`inflow`](Self::inflow) of each source, m^3.
+    pub fn inflows(&self, sources: Running, dt: f64) -> impl Iterator<Item = f64> {
+        (0..self.n_sources() as u32).map(move |source| self.inflow(sources, source, dt))
+    }
+
     /// Cells of a level that sources fill, ascending. A cell of a source has the level of its full octants, and its neighbours
     /// at most the distance to it; see [`Fill::side`].
     pub fn fills(&self, grid: &Grid) -> Vec<Fill> {

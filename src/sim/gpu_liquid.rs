@@ -373,10 +373,7 @@ impl GpuLiquid {
     /// Volume that the sources emit beyond their own cells in a sub-step of dt (s), m^3.
     fn inflow(&self, sources: Running, dt: f64) -> f64 {
         match self.level {
-            Some(_) => {
-                let all = 0..self.taps.n_sources() as u32;
-                all.map(|source| self.taps.inflow(sources, source, dt)).sum()
-            }
+            Some(_) => self.taps.inflows(sources, dt).sum(),
             None => dt * self.taps.flux(sources.running),
         }
     }

@@ -213,8 +213,8 @@ impl SubStep<'_> {
         let volume_0 = &self.results.level.volume_before;
         let mut targets = shared_volumes(volume_0, &origins, &components, &volumes);
         let taps = &model.taps;
-        let inflows = (0..taps.n_sources()).map(|n| taps.inflow(self.sources, n as u32, dt));
-        let (inflows, first_fill) = (inflows.collect::<Vec<_>>(), &self.results.level.first_fill);
+        let inflows: Vec<f64> = taps.inflows(self.sources, dt).collect();
+        let first_fill = &self.results.level.first_fill;
         add_sources(taps, first_fill, &inflows, &components.label, &mut targets);
         let rate = inflows.iter().sum::<f64>() / dt;
         self.results.level.renewed = match model.effects.open_sides {

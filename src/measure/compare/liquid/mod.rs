@@ -134,8 +134,7 @@ impl<'a> LiquidComparison<'a> {
             self.running = running;
             let (grid, dt) = (self.scene.grid(), time_step.dt);
             self.lattices = self.taps.lattices(&grid, path.clock().time, dt);
-            let sources = 0..self.taps.n_sources() as u32;
-            let inflow: f64 = sources.map(|of| self.taps.inflow(running, of, dt)).sum();
+            let inflow: f64 = self.taps.inflows(running, dt).sum();
             if Effects::of(self.scene).open_sides {
                 self.renewed = reference::renewed_volume(inflow / dt, time_step.control_time);
             }
