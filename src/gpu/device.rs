@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::fmt::Write as _;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
 use super::quiet::quietly;
@@ -263,6 +264,18 @@ pub(super) struct Open {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) limits: wgpu::Limits,
+    /// Whether kernels that are not yet being compiled are not needed any more.
+    pub(super) closing: Arc<AtomicBool>,
+}
+
+impl Drop for Shared {
+    /// Waits for the driver's compiler: NVIDIA's crashes where the process exits meanwhile.
+    fn drop(&mut self) {
+        if let (Some(open), Ok(kernels)) = (&self.open, self.kernels.get_mut()) {
+            open.closing.store(true, Ordering::Relaxed);
+            kernels.values().for_each(Kernel::end_compilation);
+        }
+    }
 }
 
 impl std::ops::Deref for Gpu {
@@ -370,7 +383,7 @@ impl Gpu {
                 keep_first(&sink, format!("the device was lost: {message}"));
             }
         });
-        let open = Open { device, queue, limits };
+        let open = Open { device, queue, limits, closing: Arc::default() };
         Ok(Gpu::with(Some(open), report, faults))
     }
 

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use bytemuck::Pod;
@@ -109,12 +110,13 @@ impl Pipeline {
         THREADS.get_or_init(build).as_ref()
     }
 
-    /// Starts the compilation. Device errors are returned by the next call that waits for the device.
-    fn compile(compile: impl FnOnce() -> wgpu::ComputePipeline + Send + 'static) -> Pipeline {
+    /// Starts the compilation, which `closing` omits. Device errors are returned by the next call that waits for the device.
+    fn compile(closing: Arc<AtomicBool>, compile: impl FnOnce() -> wgpu::ComputePipeline + Send + 'static) -> Pipeline {
         let pipeline = Pipeline(Arc::default());
         let slot = Arc::clone(&pipeline.0);
         let task = move || {
-            let _ = slot.set(catch_unwind(AssertUnwindSafe(compile)).ok());
+            let needed = !closing.load(Ordering::Relaxed);
+            let _ = slot.set(needed.then(|| catch_unwind(AssertUnwindSafe(compile)).ok()).flatten());
         };
         match Pipeline::threads() {
             Some(threads) => threads.spawn(task),
@@ -134,6 +136,13 @@ impl Pipeline {
 }
 
 impl Kernel {
+    /// Waits until the driver neither compiles nor will compile the kernel.
+    pub(super) fn end_compilation(&self) {
+        if let Some(program) = &self.program {
+            program.pipeline.0.wait();
+        }
+    }
+
     /// Compiles a WGSL file, whose entry point has the file's name, unless the device has compiled it. Returns before
     /// the driver has finished; the first dispatch waits.
     ///
@@ -275,7 +284,7 @@ impl Program {
             immediate_size: 0,
         });
         let device = open.device.clone();
-        let pipeline = Pipeline::compile(move || {
+        let pipeline = Pipeline::compile(Arc::clone(&open.closing), move || {
             let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(label),
                 source: wgpu::ShaderSource::Naga(Cow::Owned(module)),
@@ -303,4 +312,25 @@ pub(crate) fn bind<const N: usize>(
 ) -> Result<Bound, Error> {
     let own: &dyn Arrays = &own;
     Kernel::new(gpu, source, variant)?.bind(gpu, &[], &[&[own], tables].concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use super::Pipeline;
+
+    #[test]
+    fn kernels_of_a_closing_device_are_not_compiled() {
+        let closing = Arc::new(AtomicBool::new(true));
+        let compiled = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&compiled);
+        let pipeline = Pipeline::compile(closing, move || {
+            flag.store(true, Ordering::Relaxed);
+            panic!("compiled");
+        });
+        assert!(pipeline.0.wait().is_none());
+        assert!(!compiled.load(Ordering::Relaxed));
+    }
 }

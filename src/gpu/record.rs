@@ -14,15 +14,17 @@ pub fn groups(n: u32) -> [u32; 3] {
     if n <= SPLIT { [n, 1, 1] } else { [SPLIT, n.div_ceil(SPLIT), 1] }
 }
 
-/// Seconds per stage of a submission, by label, in order.
+/// Seconds per stage of a recording, by label, in order.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
-/// Largest number of timed stages per submission; later ones run untimed.
+/// Largest number of timed stages per recording; later ones run untimed.
 const TIMED_STAGES: u32 = 64;
+/// Dispatches after which a recording is submitted in part, at the end of a stage: the device runs them while the host records the next.
+const CHUNK: usize = 64;
 /// Bytes of the timestamps.
 const TIMES: u64 = 2 * 8 * TIMED_STAGES as u64;
 
-/// Query set and buffers that time a submission; [`Gpu`] reuses them.
+/// Query set and buffers that time a recording; [`Gpu`] reuses them.
 #[derive(Debug)]
 pub(super) struct Timer {
     set: wgpu::QuerySet,
@@ -59,6 +61,8 @@ impl Timer {
     }
 }
 
+const ENCODER: wgpu::CommandEncoderDescriptor = wgpu::CommandEncoderDescriptor { label: Some("cutwater") };
+
 impl Gpu {
     fn take_timer(&self) -> Option<Timer> {
         let kept = self.timers.lock().ok().and_then(|mut list| list.pop());
@@ -72,7 +76,7 @@ impl Gpu {
     }
 }
 
-/// Records one submission. Does nothing on a planning device.
+/// Records commands and submits them: in parts, as soon as there are many. Does nothing on a planning device.
 #[derive(Debug)]
 pub struct Recorder {
     gpu: Gpu,
@@ -94,9 +98,7 @@ pub struct Pass<'a> {
 impl Recorder {
     /// An empty recording.
     pub fn new(gpu: &Gpu) -> Recorder {
-        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("cutwater") };
-        let open = gpu.open();
-        let encoder = open.map(|open| open.device.create_command_encoder(&descriptor));
+        let encoder = gpu.open().map(|open| open.device.create_command_encoder(&ENCODER));
         Recorder { gpu: gpu.clone(), encoder, timer: None, stages: Vec::new(), dispatches: Vec::new(), bytes_down: 0 }
     }
 
@@ -107,6 +109,16 @@ impl Recorder {
             recorder.timer = gpu.take_timer();
         }
         recorder
+    }
+
+    /// Submits the commands recorded so far. Later uploads do not reach them.
+    pub fn flush(&mut self) {
+        if let Some((open, encoder)) = self.gpu.open().zip(self.encoder.as_mut()) {
+            let next = open.device.create_command_encoder(&ENCODER);
+            open.queue.submit([std::mem::replace(encoder, next).finish()]);
+        }
+        self.gpu.meter.submitted(&self.dispatches, std::mem::take(&mut self.bytes_down));
+        self.dispatches.clear();
     }
 
     /// Records the dispatches of a stage as one pass.
@@ -125,7 +137,12 @@ impl Recorder {
         let encoder = self.encoder.as_mut();
         let raw = encoder.map(|encoder| encoder.begin_compute_pass(&descriptor));
         let mut pass = Pass { raw, stage, dispatches: &mut self.dispatches };
-        record(&mut pass)
+        let result = record(&mut pass);
+        drop(pass);
+        if self.dispatches.len() >= CHUNK {
+            self.flush();
+        }
+        result
     }
 
     /// Sets a buffer to zero.
@@ -165,7 +182,7 @@ impl Recorder {
         self.copy_bytes((&from.raw, start), &to.raw, bytes);
     }
 
-    /// Submits the recording. The returned `Timing` yields the times of a timed recording.
+    /// Submits the rest of the recording. The returned `Timing` yields the times of a timed recording.
     pub fn submit(mut self) -> Timing {
         if let Some((timer, encoder)) = self.timer.as_ref().zip(self.encoder.as_mut()) {
             let n = 2 * self.stages.len() as u32;
@@ -311,7 +328,7 @@ impl<'p> Pass<'p> {
     }
 }
 
-/// Pending stage times of a submission. The timer returns to the device when the value is dropped.
+/// Pending stage times of a recording. The timer returns to the device when the value is dropped.
 #[derive(Debug)]
 pub struct Timing {
     gpu: Gpu,

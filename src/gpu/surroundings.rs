@@ -21,7 +21,8 @@ const LIBRARY_FOLDERS: [&str; 8] = [
 ];
 const LOADER: &str = "libvulkan.so.1";
 /// Libraries that NVIDIA's driver loads even without a display.
-const NVIDIA_LIBRARIES: [(&str, &str); 2] = [("libX11.so.6", "libx11-6"), ("libXext.so.6", "libxext6")];
+const NVIDIA_LIBRARIES: [(&str, &str); 3] =
+    [("libX11.so.6", "libx11-6"), ("libXext.so.6", "libxext6"), ("libEGL.so.1", "libegl1")];
 
 /// A driver's manifest.
 #[derive(Clone, Debug)]
@@ -192,9 +193,9 @@ impl Surroundings {
         let is_nvidia =
             |manifest: &Manifest| manifest.library.as_deref().is_some_and(|library| library.contains("nvidia"));
         let nvidia = self.manifests.iter().find(|manifest| is_nvidia(manifest));
+        let driver = nvidia.and_then(|manifest| Some((manifest, manifest.library.as_deref()?)));
+        let whole = driver.is_some_and(|(manifest, library)| self.has(manifest, library));
         if has("/dev/nvidia") && self.chosen_by.is_none() {
-            let driver = nvidia.and_then(|manifest| Some((manifest, manifest.library.as_deref()?)));
-            let whole = driver.is_some_and(|(manifest, library)| self.has(manifest, library));
             let graphics =
                 |all: &String| all.split(',').any(|one| ["graphics", "display", "all"].contains(&one.trim()));
             match (self.container, &self.capabilities) {
@@ -220,14 +221,15 @@ impl Surroundings {
                 ),
                 _ => {}
             }
-            let missing = NVIDIA_LIBRARIES.into_iter().filter(|(library, _)| !self.libraries.contains(*library));
-            let packages: Vec<&str> = missing.map(|(_, package)| package).collect();
-            if whole && !packages.is_empty() {
-                cures.push(format!(
-                    "NVIDIA's driver needs X11 libraries even without a display (Debian: apt-get install {})",
-                    packages.join(" ")
-                ));
-            }
+        }
+        let missing = NVIDIA_LIBRARIES.into_iter().filter(|(library, _)| !self.libraries.contains(*library));
+        let (libraries, packages): (Vec<&str>, Vec<&str>) = missing.unzip();
+        if has("/dev/nvidia") && whole && !packages.is_empty() {
+            cures.push(format!(
+                "NVIDIA's driver needs {} even without a display (Debian: apt-get install {})",
+                libraries.join(" and "),
+                packages.join(" ")
+            ));
         }
         if has("/dev/dri/renderD") && !has("/dev/nvidia") && self.manifests.is_empty() && self.chosen_by.is_none() {
             cures.push(

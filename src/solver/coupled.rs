@@ -499,14 +499,11 @@ impl System for Coupled {
     }
 
     fn pace(&self, case: Case<'_>) -> Pace {
-        Pace {
-            iterations: match case.form {
-                Form::Monolithic => self.monolithic.iterations(case.degree),
-                Form::Schur(_) | Form::Singular => schur::CHUNK,
-            },
-            gates: 1,
-            steps: STEPS,
-        }
+        let iterations = match case.form {
+            Form::Monolithic => self.monolithic.iterations(case.degree),
+            Form::Schur(_) | Form::Singular => schur::CHUNK,
+        };
+        Pace { iterations, gate: iterations, steps: STEPS }
     }
 
     fn pcg<'a>(&'a self, monolithic: &'a Pcg, case: Case<'_>) -> &'a Pcg {

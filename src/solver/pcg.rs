@@ -218,10 +218,16 @@ impl Pcg {
     }
 
     /// Records iterations; those after the last of a refinement step do nothing.
-    pub(super) fn record<S: System>(&self, pass: &mut Pass, state: &State, system: &S, case: S::Case<'_>) {
-        let Pace { gates, iterations, .. } = system.pace(case);
-        for iteration in 0..gates * iterations {
-            if iteration % iterations == 0 {
+    pub(super) fn record<S: System>(
+        &self,
+        pass: &mut Pass,
+        state: &State,
+        system: &S,
+        case: S::Case<'_>,
+        Pace { iterations, gate, .. }: Pace,
+    ) {
+        for iteration in 0..iterations {
+            if iteration % gate == 0 {
                 self.record_gate(pass);
             }
             system.record_preconditioner(pass, state, case);

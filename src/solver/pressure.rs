@@ -195,7 +195,7 @@ impl System for Pressure {
             Precondition::Multigrid(_) => 8,
             Precondition::Jacobi(_) => 64,
         };
-        Pace { iterations: BLOCK, gates: iterations / BLOCK, steps: 4 }
+        Pace { iterations, gate: BLOCK, steps: 4 }
     }
 
     fn record_start(&self, pass: &mut Pass, buffers: &SolverBuffers) {

@@ -76,15 +76,32 @@ struct Readbacks {
     args: Option<Readback<u32>>,
 }
 
-/// Dispatches recorded ahead.
-#[derive(Clone, Copy, Debug)]
+/// Dispatches recorded ahead. Those that turn out to be needless run empty; where there are too few, the host waits once more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Pace {
-    /// Iterations between two gates of the one-workgroup kernels.
+    /// Iterations in a refinement step.
     pub(super) iterations: usize,
-    /// Gates in a refinement step.
-    pub(super) gates: usize,
-    /// Refinement steps in a submission.
+    /// Iterations between two gates of the one-workgroup kernels.
+    pub(super) gate: usize,
+    /// Refinement steps before the host waits.
     pub(super) steps: usize,
+}
+
+impl Pace {
+    /// Iterations of a refinement step in excess of the mean: the first takes more than the others.
+    const SPARE: usize = 2;
+    const MOST_STEPS: usize = 8;
+
+    /// For the next solve, after one with so many iterations in so many steps. It falls by one at a time, since rounds of a sub-step alternate.
+    fn after(self, iterations: u32, steps: u32, most: Pace) -> Pace {
+        let steps = (steps as usize).max(1);
+        let mean = (iterations as usize).div_ceil(steps);
+        Pace {
+            iterations: (mean + Self::SPARE).max(self.iterations - 1).min(most.iterations),
+            steps: steps.max(self.steps - 1).min(Self::MOST_STEPS),
+            ..most
+        }
+    }
 }
 
 /// Form of the corrections.
@@ -114,6 +131,7 @@ pub(super) trait System: Debug {
         Form::Monolithic
     }
 
+    /// Pace of the first solve, and most iterations of a refinement step in all.
     fn pace(&self, case: Self::Case<'_>) -> Pace;
 
     /// Driver of conjugate gradients for the form, given that of the monolithic one.
@@ -210,6 +228,8 @@ pub(super) struct OuterLoop<S> {
     /// Scalar types: `real` of the residuals on the device.
     variant: Variant,
     on_host: bool,
+    /// Of the next solve, once there was one.
+    pace: Mutex<Option<Pace>>,
 }
 
 /// State machine and norms, before the system is bound to them.
@@ -301,6 +321,7 @@ impl<S: System> OuterLoop<S> {
             accept,
             variant,
             on_host,
+            pace: Mutex::default(),
         })
     }
 
@@ -344,7 +365,21 @@ impl<S: System> OuterLoop<S> {
 
     fn record_iterations(&self, pass: &mut Pass, case: S::Case<'_>) {
         let pcg = self.system.pcg(&self.pcg, case);
-        pcg.record(pass, &self.state, &self.system, case);
+        pcg.record(pass, &self.state, &self.system, case, self.pace(case));
+    }
+
+    fn pace(&self, case: S::Case<'_>) -> Pace {
+        let first = self.system.pace(case);
+        let next = *self.pace.lock().unwrap_or_else(PoisonError::into_inner);
+        // The form may have changed.
+        next.map_or(first, |next| Pace { iterations: next.iterations.min(first.iterations), gate: first.gate, ..next })
+    }
+
+    fn learn_pace(&self, case: S::Case<'_>, solved: &Outcome) {
+        if solved.status == SolveStatus::Converged && solved.iterations > 0 {
+            let pace = self.pace(case).after(solved.iterations, solved.refinements, self.system.pace(case));
+            *self.pace.lock().unwrap_or_else(PoisonError::into_inner) = Some(pace);
+        }
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome of each block, with residuals in f64: of the host where
@@ -401,14 +436,14 @@ impl<S: System> OuterLoop<S> {
         }
         loop {
             if monolithic {
-                recorder.stage(Stage::Solve.name(), |pass| {
-                    for _ in 0..self.system.pace(case).steps {
+                for _ in 0..self.pace(case).steps {
+                    recorder.stage(Stage::Solve.name(), |pass| {
                         self.record_evaluation(pass);
                         self.record_begin(pass, case);
                         self.record_iterations(pass, case);
-                    }
-                    self.record_evaluation(pass);
-                });
+                    });
+                }
+                recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
             }
             let residual = match form {
                 Form::Schur(_) => S::unknowns(case).blocks.get(1).map(|block| block.outer),
@@ -606,10 +641,10 @@ impl<S: System> OuterLoop<S> {
             let residuals = self.system.on_host(gpu, case, 0)?.residuals(&x);
             set_norms(&mut reading.norms, &residuals);
         }
-        Ok(self.outcomes(status, &reading))
+        Ok(self.outcomes(case, status, &reading))
     }
 
-    fn outcomes(&self, status: SolveStatus, reading: &Reading) -> Vec<Outcome> {
+    fn outcomes(&self, case: S::Case<'_>, status: SolveStatus, reading: &Reading) -> Vec<Outcome> {
         let Reading { control, norms, .. } = reading;
         let of_others = (1..self.n_blocks).map(|block| unknowns(norms, block, self.n_blocks));
         let of_others: Vec<u32> = of_others.collect();
@@ -629,7 +664,9 @@ impl<S: System> OuterLoop<S> {
                 verified: true,
             }
         };
-        (0..self.n_blocks).map(outcome).collect()
+        let outcomes: Vec<Outcome> = (0..self.n_blocks).map(outcome).collect();
+        self.learn_pace(case, &outcomes[0]);
+        outcomes
     }
 
     /// The outer loop on the host: corrections on the device, unknowns and residuals in f64 here.
@@ -729,7 +766,7 @@ impl<S: System> OuterLoop<S> {
         for (block, x) in S::unknowns(case).blocks.iter().zip(&x) {
             block.x.upload(gpu, x);
         }
-        Ok(self.outcomes(status, &reading))
+        Ok(self.outcomes(case, status, &reading))
     }
 
     /// Begins a refinement step from the host, as `refine_accept` does on the device; the residual is scaled already.

@@ -285,7 +285,7 @@ impl System for Elastic {
     fn pace(&self, case: Case<'_>) -> Pace {
         let dispatches = DISPATCHES + self.preconditioner.dispatches(case.degree);
         let iterations = (AHEAD / dispatches).next_multiple_of(BLOCK).min(CHUNK);
-        Pace { iterations: BLOCK, gates: iterations / BLOCK, steps: STEPS }
+        Pace { iterations, gate: BLOCK, steps: STEPS }
     }
 
     fn record_start(&self, pass: &mut Pass, case: Case<'_>) {

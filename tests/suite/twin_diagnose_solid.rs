@@ -91,7 +91,9 @@ fn the_solids_amount_to_the_twins() {
             assert!((found.elastic_energy - energy).abs() <= rounding * energy + underflow, "{}", case.name);
             assert_eq!(found.min_det, f64::from(least as f32), "{}", case.name);
             assert_eq!(found.inverted, inverted, "{}", case.name);
-            assert_eq!(found.max_speed, twin.max_speed, "{}", case.name);
+            // WGSL permits devices to take denormals for zero.
+            let flushed = twin.max_speed < underflow && found.max_speed == 0.0;
+            assert!(flushed || found.max_speed == twin.max_speed, "{}: {}", case.name, found.max_speed);
             // In all they are the twin's too.
             let slack = if real == Real::F32 { 1e-4 } else { 1e-10 };
             let off = (found.elastic_energy - twin.elastic_energy).abs();
