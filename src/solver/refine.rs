@@ -4,12 +4,13 @@
 //! ([`acceptance`](super::acceptance)) and begins the next step or ends the solve. Both are recorded ahead and dispatched by sizes that kernels write.
 //! Adapters without f64 evaluate residuals on the host, one exchange per step.
 
-use crate::fields::pressure_system::{N_CLOSED, STATE_WORDS};
-use crate::gpu::bind;
+use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::Error;
+use crate::fields::pressure_system::{N_CLOSED, STATE_WORDS};
+use crate::gpu::bind;
 use crate::gpu::{
     Arrays, Binding, Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
 };
@@ -77,7 +78,7 @@ struct Readbacks {
 }
 
 /// Dispatches recorded ahead. Those that turn out to be needless run empty; where there are too few, the host waits once more.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     /// Iterations in a refinement step.
     pub(super) iterations: usize,
@@ -87,19 +88,35 @@ pub(super) struct Pace {
     pub(super) steps: usize,
 }
 
-impl Pace {
+/// Iterations and refinement steps of the latest solves.
+#[derive(Debug, Default)]
+struct Latest(Mutex<VecDeque<(usize, usize)>>);
+
+impl Latest {
+    /// Number of solves: rounds and active sets of a sub-step alternate.
+    const N: usize = 8;
     /// Iterations of a refinement step in excess of the mean: the first takes more than the others.
     const SPARE: usize = 2;
-    const MOST_STEPS: usize = 8;
 
-    /// For the next solve, after one with so many iterations in so many steps. It falls by one at a time, since rounds of a sub-step alternate.
-    fn after(self, iterations: u32, steps: u32, most: Pace) -> Pace {
-        let steps = (steps as usize).max(1);
-        let mean = (iterations as usize).div_ceil(steps);
+    fn list(&self) -> MutexGuard<'_, VecDeque<(usize, usize)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, solved: &Outcome) {
+        let mut list = self.list();
+        list.truncate(Self::N - 1);
+        list.push_front((solved.iterations as usize, solved.refinements as usize));
+    }
+
+    /// Pace that the latest solves would have needed; that of the first one without any.
+    fn pace(&self, first: Pace) -> Pace {
+        let list = self.list();
+        let mean = list.iter().map(|&(iterations, steps)| iterations.div_ceil(steps.max(1))).max();
+        let steps = list.iter().map(|&(_, steps)| steps.max(1)).max();
         Pace {
-            iterations: (mean + Self::SPARE).max(self.iterations - 1).min(most.iterations),
-            steps: steps.max(self.steps - 1).min(Self::MOST_STEPS),
-            ..most
+            iterations: mean.map_or(first.iterations, |mean| first.iterations.min(mean + Self::SPARE)),
+            steps: steps.map_or(first.steps, |steps| first.steps.min(steps)),
+            ..first
         }
     }
 }
@@ -131,7 +148,7 @@ pub(super) trait System: Debug {
         Form::Monolithic
     }
 
-    /// Pace of the first solve, and most iterations of a refinement step in all.
+    /// Pace of the first solve, and the most of later ones.
     fn pace(&self, case: Self::Case<'_>) -> Pace;
 
     /// Driver of conjugate gradients for the form, given that of the monolithic one.
@@ -228,8 +245,7 @@ pub(super) struct OuterLoop<S> {
     /// Scalar types: `real` of the residuals on the device.
     variant: Variant,
     on_host: bool,
-    /// Of the next solve, once there was one.
-    pace: Mutex<Option<Pace>>,
+    latest: Latest,
 }
 
 /// State machine and norms, before the system is bound to them.
@@ -321,7 +337,7 @@ impl<S: System> OuterLoop<S> {
             accept,
             variant,
             on_host,
-            pace: Mutex::default(),
+            latest: Latest::default(),
         })
     }
 
@@ -369,17 +385,7 @@ impl<S: System> OuterLoop<S> {
     }
 
     fn pace(&self, case: S::Case<'_>) -> Pace {
-        let first = self.system.pace(case);
-        let next = *self.pace.lock().unwrap_or_else(PoisonError::into_inner);
-        // The form may have changed.
-        next.map_or(first, |next| Pace { iterations: next.iterations.min(first.iterations), gate: first.gate, ..next })
-    }
-
-    fn learn_pace(&self, case: S::Case<'_>, solved: &Outcome) {
-        if solved.status == SolveStatus::Converged && solved.iterations > 0 {
-            let pace = self.pace(case).after(solved.iterations, solved.refinements, self.system.pace(case));
-            *self.pace.lock().unwrap_or_else(PoisonError::into_inner) = Some(pace);
-        }
+        self.latest.pace(self.system.pace(case))
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome of each block, with residuals in f64: of the host where
@@ -641,10 +647,10 @@ impl<S: System> OuterLoop<S> {
             let residuals = self.system.on_host(gpu, case, 0)?.residuals(&x);
             set_norms(&mut reading.norms, &residuals);
         }
-        Ok(self.outcomes(case, status, &reading))
+        Ok(self.outcomes(status, &reading))
     }
 
-    fn outcomes(&self, case: S::Case<'_>, status: SolveStatus, reading: &Reading) -> Vec<Outcome> {
+    fn outcomes(&self, status: SolveStatus, reading: &Reading) -> Vec<Outcome> {
         let Reading { control, norms, .. } = reading;
         let of_others = (1..self.n_blocks).map(|block| unknowns(norms, block, self.n_blocks));
         let of_others: Vec<u32> = of_others.collect();
@@ -665,7 +671,7 @@ impl<S: System> OuterLoop<S> {
             }
         };
         let outcomes: Vec<Outcome> = (0..self.n_blocks).map(outcome).collect();
-        self.learn_pace(case, &outcomes[0]);
+        self.latest.push(&outcomes[0]);
         outcomes
     }
 
@@ -766,7 +772,7 @@ impl<S: System> OuterLoop<S> {
         for (block, x) in S::unknowns(case).blocks.iter().zip(&x) {
             block.x.upload(gpu, x);
         }
-        Ok(self.outcomes(case, status, &reading))
+        Ok(self.outcomes(status, &reading))
     }
 
     /// Begins a refinement step from the host, as `refine_accept` does on the device; the residual is scaled already.

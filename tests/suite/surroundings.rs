@@ -87,7 +87,7 @@ fn what_is_missing_is_named_with_its_cure() {
     only(&cures(&[&of_nvidia, &NVIDIA_DEVICES], &[], &[]), &["libx11-6 libxext6 libegl1"]);
     let x11 = [("usr/lib/aarch64-linux-gnu/libX11.so.6", ""), ("lib/libXext.so.6", "")];
     only(&cures(&[&of_nvidia, &x11, &NVIDIA_DEVICES], &[], &[]), &["needs libEGL.so.1", "apt-get install libegl1)"]);
-    let manifest = [("VK_DRIVER_FILES", "ROOT/usr/share/vulkan/icd.d/nvidia_icd.json")];
+    let manifest = [("VK_DRIVER_FILES", "ROOT/etc/vulkan/icd.d/nvidia_icd.json")];
     only(&cures(&[&of_nvidia, &x11, &NVIDIA_DEVICES], &manifest, &[]), &["needs libEGL.so.1"]);
     let egl = [("usr/lib/x86_64-linux-gnu/libEGL.so.1", "")];
     assert!(cures(&[&of_nvidia, &x11, &egl, &NVIDIA_DEVICES], &[], &[]).is_empty());

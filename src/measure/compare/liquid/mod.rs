@@ -635,7 +635,9 @@ impl<'a> LiquidComparison<'a> {
         for axis in Axis::ALL {
             let a = axis.index();
             let pairs = (0..grid.n_faces(axis)).map(|face| {
-                let (gpu, twin) = (after.velocity[a][face], twin[a][face]);
+                // Outside the band the device has no velocities, not even those of bodies.
+                let twin = if after.face_band[a][face] { twin[a][face] } else { 0.0 };
+                let gpu = after.velocity[a][face];
                 let slip = match self.cuts() && self.cut.open[a][face] == 0.0 {
                     true => self.slip_roundings(axis, face),
                     false => Some(0.0),
