@@ -1,5 +1,9 @@
 //! Cut quads and moving walls.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
 use crate::Error;
 use crate::arrays;
 use crate::geometry::{MovingWall, SolidClip};
@@ -60,7 +64,7 @@ pub struct ClipSize {
 impl ClipSize {
     /// The capacity for a clipping that is written after one with `differing` cut quads, or with as many as its own.
     pub fn of(grid: &Grid, clip: &SolidClip, differing: usize) -> ClipSize {
-        let now = cut_quads(&grid.padded(), grid, clip).len();
+        let now = cut_quads(&grid.padded(), grid, clip).len;
         ClipSize {
             quads: now + differing.max(now),
             places: clip.moving_walls().len(),
@@ -80,6 +84,63 @@ impl ClipSize {
     }
 }
 
+/// A set of quads, one bit each.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct QuadSet {
+    bits: Vec<u64>,
+    /// Number of members below each word.
+    below: Vec<u32>,
+    /// Number of members.
+    len: usize,
+}
+
+impl QuadSet {
+    fn new(bits: Vec<u64>) -> QuadSet {
+        let mut len = 0;
+        let below = bits.iter().map(|word| {
+            let below = len as u32;
+            len += word.count_ones() as usize;
+            below
+        });
+        let below = below.collect();
+        QuadSet { bits, below, len }
+    }
+
+    fn union(&self, other: &QuadSet) -> QuadSet {
+        if other.len == 0 {
+            return self.clone();
+        }
+        QuadSet::new(self.bits.iter().zip(&other.bits).map(|(a, b)| a | b).collect())
+    }
+
+    /// The members, ascending.
+    fn members(&self) -> Vec<u32> {
+        let mut members = Vec::with_capacity(self.len);
+        for (first, &word) in (0..).step_by(64).zip(&self.bits) {
+            let mut rest = word;
+            while rest != 0 {
+                members.push(first + rest.trailing_zeros());
+                rest &= rest - 1;
+            }
+        }
+        members
+    }
+
+    /// Position of a member among all.
+    fn position(&self, quad: usize) -> usize {
+        let (word, bit) = (quad / 64, quad % 64);
+        debug_assert!(self.bits[word] >> bit & 1 == 1, "quad {quad} is not cut");
+        self.below[word] as usize + (self.bits[word] & ((1 << bit) - 1)).count_ones() as usize
+    }
+}
+
+/// A clipping as [`ClipBuffers::write`] writes it.
+#[derive(Debug)]
+pub struct CutQuads {
+    quads: QuadSet,
+    walls: Vec<MovingWall>,
+}
+
 arrays! {
     /// Cut quads before their copy to the arrays of the liquid, and surfaces as moving walls.
     pub struct ClipBuffers in "clip" {
@@ -89,7 +150,7 @@ arrays! {
             grid: Grid,
             padded: Padded,
             /// Quads whose values on the device differ from those of the static obstacles.
-            differing: Vec<u32>,
+            differing: QuadSet,
         }
         arrays {
             /// Lengths of the lists below.
@@ -112,7 +173,7 @@ arrays! {
 impl ClipBuffers {
     /// Allocates.
     pub fn new(gpu: &Gpu, grid: &Grid, size: ClipSize) -> Result<ClipBuffers, Error> {
-        ClipBuffers::allocate(gpu, size, *grid, grid.padded(), Vec::new())
+        ClipBuffers::allocate(gpu, size, *grid, grid.padded(), QuadSet::default())
     }
 
     /// Allocates another capacity and preserves the record of differing quads.
@@ -122,40 +183,38 @@ impl ClipBuffers {
 
     /// Number of quads whose values on the device differ from those of the static obstacles.
     pub fn n_differing(&self) -> usize {
-        self.differing.len()
+        self.differing.len
+    }
+
+    /// The quads and walls of a clipping.
+    pub fn cut(&self, clip: &SolidClip) -> CutQuads {
+        CutQuads { quads: cut_quads(&self.padded, &self.grid, clip), walls: clip.moving_walls() }
     }
 
     /// Whether the capacity suffices for a clipping, written after the one on the device.
-    pub fn fits(&self, clip: &SolidClip) -> bool {
-        let now = cut_quads(&self.padded, &self.grid, clip).len();
-        now + self.differing.len() <= self.size.quads && clip.moving_walls().len() <= self.size.places
+    pub fn fits(&self, cut: &CutQuads) -> bool {
+        cut.quads.len + self.differing.len <= self.size.quads && cut.walls.len() <= self.size.places
     }
 
-    /// Writes a clipping, before all work submitted later. `triangles` contains the nodes of the surface triangles.
-    /// `anew`: the liquid's arrays now contain the values of the static obstacles.
+    /// Writes a clipping, `cut` of `clip`, before all work submitted later. `triangles` contains the nodes of the surface
+    /// triangles. `anew`: the liquid's arrays now contain the values of the static obstacles.
     ///
     /// # Panics
     /// When the capacity is too small.
-    pub fn write(&mut self, gpu: &Gpu, clip: &SolidClip, triangles: &[[u32; 3]], anew: bool) {
+    pub fn write(&mut self, gpu: &Gpu, (clip, cut): (&SolidClip, CutQuads), triangles: &[[u32; 3]], anew: bool) {
         if anew {
             gpu.upload(&self.walls, &vec![0; self.padded.quads]);
         }
-        let now = cut_quads(&self.padded, &self.grid, clip);
-        let mut listed = std::mem::take(&mut self.differing);
-        listed.extend(&now);
-        listed.sort_unstable();
-        listed.dedup();
-        let mut words = vec![0; listed.len()];
+        let CutQuads { quads: now, walls: near } = cut;
+        let listed = now.union(&self.differing);
         // Entry of the quad, and the lane.
         let at = |cell: usize| {
             let index = self.padded.index(self.grid.cell_at(cell));
-            let entry = listed.binary_search(&((index / 4) as u32));
-            let entry = entry.expect("cells near solids are among the changed ones");
-            (entry, index % 4)
+            (listed.position(index / 4), index % 4)
         };
-        let near = clip.moving_walls();
-        for (place, nearest) in near.iter().enumerate() {
-            let (quad, lane) = at(nearest.cell());
+        let mut words = vec![0; listed.len];
+        let lanes: Vec<(usize, usize)> = near.par_iter().map(|wall| at(wall.cell())).collect();
+        for (place, (quad, lane)) in lanes.into_iter().enumerate() {
             if words[quad] == 0 {
                 words[quad] = (place as u32) << FIRST_PLACE;
             }
@@ -164,11 +223,12 @@ impl ClipBuffers {
         for (cell, _) in clip.coupling().cells() {
             words[at(cell).0] |= WET;
         }
+        let quads = listed.members();
         let entries: Vec<CutQuad> =
-            listed.iter().zip(&words).map(|(&quad, &walls)| self.cut_quad(clip, quad, walls)).collect();
-        let places: Vec<[u32; 4]> = near
-            .iter()
-            .flat_map(|place| match place {
+            quads.par_iter().zip(&words).map(|(&quad, &walls)| self.cut_quad(clip, quad, walls)).collect();
+        let places: Vec<[[u32; 4]; 2]> = near
+            .par_iter()
+            .map(|place| match place {
                 MovingWall::Solid(nearest) => {
                     let [a, b, c] = triangles[nearest.triangle];
                     let [u, v, w] = nearest.weights.map(|weight| (weight as f32).to_bits());
@@ -188,9 +248,9 @@ impl ClipBuffers {
         };
         gpu.upload(&self.clipped, &[clipped]);
         gpu.upload(&self.entries, &entries);
-        gpu.upload(&self.places, &places);
+        gpu.upload(&self.places, places.as_flattened());
         if let Some(fluxes) = &self.fluxes {
-            let mut quad_fluxes = vec![[0.0; 4]; listed.len()];
+            let mut quad_fluxes = vec![[0.0; 4]; listed.len];
             for &(cell, flux) in clip.obstacles().flux() {
                 let (quad, lane) = at(cell);
                 quad_fluxes[quad][lane] = (flux / self.grid.dx.powi(2)) as f32;
@@ -224,18 +284,25 @@ impl ClipBuffers {
     }
 }
 
-/// Quads whose cells or faces can differ from those of the static obstacles, ascending.
-fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
-    let (faces, cells) = clip.changed();
-    let cells = cells.iter().map(|&cell| grid.cell_at(cell));
-    let faces = Axis::ALL.into_iter().zip(&faces);
-    let faces = faces.flat_map(|(axis, faces)| faces.iter().map(move |&f| grid.face_at(axis, f)));
-    let solid_cells = clip.coupling().cells().map(|(cell, _)| cell);
-    let obstacle_cells = clip.obstacles().flux().iter().map(|&(cell, _)| cell);
-    let patches = solid_cells.chain(obstacle_cells).map(|cell| grid.cell_at(cell));
-    let all = cells.chain(faces).chain(patches);
-    let mut quads: Vec<u32> = all.map(|at| (padded.index(at) / 4) as u32).collect();
-    quads.sort_unstable();
-    quads.dedup();
-    quads
+/// Quads whose cells or faces can differ from those of the static obstacles.
+fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> QuadSet {
+    let mut bits = Vec::new();
+    bits.resize_with(padded.quads.div_ceil(64), AtomicU64::default);
+    let insert = |at: [usize; 3]| {
+        let quad = padded.index(at) / 4;
+        let (word, bit) = (&bits[quad / 64], 1 << (quad % 64));
+        if word.load(Ordering::Relaxed) & bit == 0 {
+            word.fetch_or(bit, Ordering::Relaxed);
+        }
+    };
+    let insert_cell = |&cell: &usize| insert(grid.cell_at(cell));
+    for (faces, cells) in clip.changed() {
+        for (axis, faces) in Axis::ALL.into_iter().zip(faces) {
+            faces.par_iter().for_each(|&face| insert(grid.face_at(axis, face)));
+        }
+        cells.par_iter().for_each(insert_cell);
+    }
+    clip.coupling().pairs().par_iter().for_each(|pair| insert_cell(&pair.cell));
+    clip.obstacles().flux().par_iter().for_each(|(cell, _)| insert_cell(cell));
+    QuadSet::new(bits.into_iter().map(AtomicU64::into_inner).collect())
 }

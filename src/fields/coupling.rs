@@ -1,7 +1,10 @@
 //! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
 
+use rayon::prelude::*;
+
 use crate::Error;
 use crate::arrays;
+use crate::geometry::counting_sort;
 use crate::gpu::{Gpu, Variant, WG_SIZE, groups};
 
 use super::pressure_system::{FOLD_THREADS, SolverBuffers};
@@ -150,20 +153,18 @@ impl CouplingBuffers {
     /// [`Error::Limit`] when there is no room for as many.
     pub fn write(&mut self, gpu: &Gpu, pairs: &[Pair], mass: f64) -> Result<(), Error> {
         let (mut quads, mut starts) = (Vec::<u32>::new(), Vec::new());
-        let mut by_quad = Vec::with_capacity(pairs.len());
         let words = |value: [f32; 3], last: u32| {
             let [x, y, z] = value.map(f32::to_bits);
             [x, y, z, last]
         };
-        for pair in pairs {
-            let (quad, lane) = ((pair.cell / 4) as u32, (pair.cell % 4) as u32);
+        for (pair, number) in pairs.iter().zip(0..) {
+            let quad = (pair.cell / 4) as u32;
             if quads.last() != Some(&quad) {
                 quads.push(quad);
-                starts.push(by_quad.len() as u32);
+                starts.push(number);
             }
-            by_quad.push(words(pair.value, 4 * pair.node as u32 + lane));
         }
-        starts.push(by_quad.len() as u32);
+        starts.push(pairs.len() as u32);
         for (what, needed, available) in [
             ("quads of cells with patches", quads.len(), self.size.quads),
             ("pairs of cells and nodes", pairs.len(), self.size.pairs),
@@ -178,17 +179,11 @@ impl CouplingBuffers {
                 });
             }
         }
-        let mut by_node: Vec<&Pair> = pairs.iter().collect();
-        // Stable: cells stay in order.
-        by_node.sort_by_key(|pair| pair.node);
-        let mut node_starts = vec![0; self.n_nodes + 1];
-        for pair in &by_node {
-            node_starts[pair.node + 1] += 1;
-        }
-        for node in 0..self.n_nodes {
-            node_starts[node + 1] += node_starts[node];
-        }
-        let by_node: Vec<[u32; 4]> = by_node.iter().map(|pair| words(pair.value, pair.cell as u32)).collect();
+        let by_quad = |pair: &Pair| words(pair.value, (4 * pair.node + pair.cell % 4) as u32);
+        let by_quad: Vec<[u32; 4]> = pairs.par_iter().map(by_quad).collect();
+        let (node_starts, order) = counting_sort(self.n_nodes, pairs.iter().map(|pair| pair.node));
+        let by_node = |&at: &usize| words(pairs[at].value, pairs[at].cell as u32);
+        let by_node: Vec<[u32; 4]> = order.par_iter().map(by_node).collect();
         let n_wet = quads.len() as u32;
         let coupling = Coupling {
             n_wet,
@@ -202,7 +197,7 @@ impl CouplingBuffers {
         };
         let mut all = quads;
         all.append(&mut starts);
-        all.append(&mut node_starts);
+        all.extend(node_starts.into_iter().map(|start| start as u32));
         let mut sizes = Vec::new();
         for (n, per_group) in [(self.n_nodes as u32, WG_SIZE), (self.n_bodies as u32, 1), (n_wet, WG_SIZE)] {
             sizes.extend(groups(n.div_ceil(per_group)));

@@ -14,7 +14,7 @@ pub(crate) mod solid_system;
 mod solids;
 mod taps;
 
-pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad};
+pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad, CutQuads};
 pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub use level::{LevelBuffers, LevelStep};
 pub use level_exchange::{ExchangeBuffers, LevelExchange};

@@ -71,8 +71,8 @@ const ON_WALL: f64 = 1e-4;
 /// Largest area of polygons that touch a cell from outside, by rounding, cells^2.
 const NO_AREA: f64 = 1e-17;
 
-/// Triangles per task. Fixed, so that the order of sums does not depend on the number of threads.
-const TRIANGLES_PER_TASK: usize = 256;
+/// Triangles per task; results do not depend on it.
+const TRIANGLES_PER_TASK: usize = 16;
 
 /// Clips a closed surface, with normals out of the solid.
 pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {

@@ -3,8 +3,9 @@
 use std::ops::AddAssign;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
-use super::Patch;
+use super::{Patch, counting_sort};
 
 /// One vector per pair of a cell and a node with a common patch.
 ///
@@ -49,48 +50,56 @@ impl Coupling {
         patches: &[Patch],
         triangles: &[[u32; 3]],
         n_nodes: usize,
-        value: impl Fn(&Patch, usize) -> DVec3,
+        value: impl Fn(&Patch, usize) -> DVec3 + Sync,
     ) -> Coupling {
-        let corners = |patch: &Patch| {
+        let value = &value;
+        let corners = move |&(cell, number): &(usize, usize)| {
+            let patch = &patches[number];
             let nodes = triangles[patch.triangle].into_iter().enumerate();
-            let (cell, value) = (patch.cell, [0, 1, 2].map(|corner| value(patch, corner)));
-            nodes.map(move |(corner, node)| CellNode { cell, node: node as usize, value: value[corner] })
+            nodes.map(move |(corner, node)| CellNode { cell, node: node as usize, value: value(patch, corner) })
         };
-        let mut pairs: Vec<CellNode> = patches.iter().flat_map(corners).collect();
-        // Stable, so that sums are in the order of the patches.
-        pairs.sort_by_key(|pair| (pair.cell, pair.node));
-        pairs.dedup_by(|next, kept| {
-            let same = (next.cell, next.node) == (kept.cell, kept.node);
-            if same {
-                kept.value += next.value;
-            }
-            same
-        });
-        Coupling::sorted(pairs, n_nodes)
+        let order = by_cell(patches);
+        let cells: Vec<&[(usize, usize)]> = order.chunk_by(|a, b| a.0 == b.0).collect();
+        let cell_pairs = |cell: &[(usize, usize)]| {
+            let mut pairs: Vec<CellNode> = cell.iter().flat_map(corners).collect();
+            // Stable, so that sums are in the order of the patches.
+            pairs.sort_by_key(|pair| pair.node);
+            pairs.dedup_by(|next, kept| {
+                let same = next.node == kept.node;
+                if same {
+                    kept.value += next.value;
+                }
+                same
+            });
+            pairs
+        };
+        Coupling::sorted(cells.into_par_iter().flat_map_iter(cell_pairs).collect(), n_nodes)
     }
 
     /// Sums of `value` for each of the [`Coupling::pairs`], starting from zero, in the order of the patches.
-    pub fn sums<T: Copy + AddAssign>(
+    pub fn sums<T: Copy + AddAssign + Send + Sync>(
         &self,
         zero: T,
         patches: &[Patch],
         triangles: &[[u32; 3]],
-        value: impl Fn(&Patch, usize) -> T,
+        value: impl Fn(&Patch, usize) -> T + Sync,
     ) -> Vec<T> {
-        let mut sums = vec![zero; self.by_cell.len()];
-        for patch in patches {
-            let Ok(row) = self.cells.binary_search(&patch.cell) else {
-                continue;
-            };
-            let first = self.cell_start[row];
-            let pairs = &self.by_cell[first..self.cell_start[row + 1]];
-            for (corner, node) in triangles[patch.triangle].into_iter().enumerate() {
-                if let Ok(at) = pairs.binary_search_by_key(&(node as usize), |pair| pair.node) {
-                    sums[first + at] += value(patch, corner);
+        let order = by_cell(patches);
+        let cell_sums = |row: usize| {
+            let (cell, pairs) = (self.cells[row], &self.by_cell[self.cell_start[row]..self.cell_start[row + 1]]);
+            let mut sums = vec![zero; pairs.len()];
+            let first = order.partition_point(|&(other, _)| other < cell);
+            for &(_, number) in order[first..].iter().take_while(|(other, _)| *other == cell) {
+                let patch = &patches[number];
+                for (corner, node) in triangles[patch.triangle].into_iter().enumerate() {
+                    if let Ok(at) = pairs.binary_search_by_key(&(node as usize), |pair| pair.node) {
+                        sums[at] += value(patch, corner);
+                    }
                 }
             }
-        }
-        sums
+            sums
+        };
+        (0..self.cells.len()).into_par_iter().flat_map_iter(cell_sums).collect()
     }
 
     /// `by_cell` is sorted by cell, then by node.
@@ -103,15 +112,8 @@ impl Coupling {
             }
         }
         cell_start.push(by_cell.len());
-        let mut by_node = by_cell.clone();
-        by_node.sort_by_key(|pair| pair.node);
-        let mut node_start = vec![0; n_nodes + 1];
-        for pair in &by_node {
-            node_start[pair.node + 1] += 1;
-        }
-        for node in 0..n_nodes {
-            node_start[node + 1] += node_start[node];
-        }
+        let (node_start, order) = counting_sort(n_nodes, by_cell.iter().map(|pair| pair.node));
+        let by_node = order.into_iter().map(|pair| by_cell[pair]).collect();
         Coupling { cells, cell_start, by_cell, node_start, by_node }
     }
 
@@ -178,4 +180,11 @@ impl Coupling {
             }
         }
     }
+}
+
+/// Cell and number of each patch, by cell, the patches of a cell in their order.
+fn by_cell(patches: &[Patch]) -> Vec<(usize, usize)> {
+    let mut order: Vec<(usize, usize)> = patches.iter().map(|patch| patch.cell).zip(0..).collect();
+    order.par_sort_unstable();
+    order
 }

@@ -15,6 +15,7 @@
 mod body_contacts;
 mod clip;
 mod contact_field;
+mod counting_sort;
 mod coupling;
 mod crossing;
 mod disjoint_sets;
@@ -72,6 +73,7 @@ pub use tet_mesh::{ElementShape, TetMesh, rest_from_file, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};
 pub use thickness::{ThinWall, layers_across, thin_obstacles, thin_solids};
 
+pub(crate) use counting_sort::counting_sort;
 pub(crate) use disjoint_sets::DisjointSets;
 pub(crate) use surface::bounds;
 

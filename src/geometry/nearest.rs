@@ -5,6 +5,8 @@ use parry3d_f64::query::PointQueryWithLocation;
 use parry3d_f64::shape::Triangle;
 use rayon::prelude::*;
 
+use super::counting_sort;
+
 /// The points (i + offset, j + offset, k + offset) dx.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lattice {
@@ -46,8 +48,11 @@ const ROUNDING: f64 = 1e-9;
 /// Marks the absence of a triangle.
 const NONE: u32 = u32::MAX;
 
-/// Points along z per task; results do not depend on it.
-const SLAB: usize = 4;
+/// Rounding of the squared distance of a point to a box, cells^2: far more than that of positions.
+const BOX_SLACK: f64 = 1e-9;
+
+/// Rows along x per task; results do not depend on it.
+const ROWS: usize = 4;
 
 /// Nearest triangle of each lattice point within a distance; of equals the first.
 #[derive(Clone, Debug)]
@@ -99,80 +104,120 @@ impl NearestTriangles {
         let triangles: Vec<BoundedTriangle> =
             corners.par_iter().map(|&corners| BoundedTriangle::new(&lattice, reach, corners)).collect();
         let [nx, ny, _] = lattice.n;
-        let slab = nx * ny * SLAB;
-        let slabs = self.triangle.par_chunks_mut(slab).zip(self.square.par_chunks_mut(slab));
-        let near: Vec<Vec<usize>> = slabs
-            .enumerate()
-            .map(|(number, (nearest, squares))| {
-                let start = number * SLAB;
-                let planes = start..start + nearest.len() / (nx * ny);
-                for (triangle, nearby) in (0..).zip(&triangles) {
-                    nearby.each_near_point(&lattice, reach, &planes, |point, square| {
-                        let at = point - start * nx * ny;
-                        if square < squares[at] {
-                            squares[at] = square;
-                            nearest[at] = triangle;
-                        }
-                        squares[at]
-                    });
-                }
-                let points = nearest.iter().enumerate();
-                let near = points.filter(|(_, triangle)| **triangle != NONE);
-                near.map(|(at, _)| at + start * nx * ny).collect()
-            })
-            .collect();
+        let n_tasks = (self.triangle.len() / nx).div_ceil(ROWS);
+        let (start, tasks) = by_task(&triangles, ny, n_tasks);
+        let rows = self.triangle.chunks_mut(ROWS * nx).zip(self.square.chunks_mut(ROWS * nx));
+        let rows = rows.enumerate().filter(|(task, _)| start[*task] < start[task + 1]);
+        let rows: Vec<_> = rows.collect();
+        let near_points = |(task, (nearest, squares)): (usize, (&mut [u32], &mut [f64]))| {
+            let first = ROWS * nx * task;
+            let of_task = &tasks[start[task]..start[task + 1]];
+            for &triangle in of_task {
+                let nearby = &triangles[triangle as usize];
+                nearby.each_near_point(&lattice, reach, ROWS * task..ROWS * (task + 1), |point, square| {
+                    let at = point - first;
+                    if square < squares[at] {
+                        squares[at] = square;
+                        nearest[at] = triangle;
+                    }
+                    squares[at]
+                });
+            }
+            let points = nearest.iter().enumerate();
+            let near = points.filter(|(_, triangle)| **triangle != NONE);
+            near.map(|(at, _)| at + first).collect::<Vec<usize>>()
+        };
+        let near: Vec<Vec<usize>> = rows.into_par_iter().map(near_points).collect();
         self.near = near.concat();
     }
+}
+
+/// Triangles of each task of [`ROWS`] rows, ascending: the start of each task, one more than there are tasks, and the
+/// triangles.
+fn by_task(triangles: &[BoundedTriangle], ny: usize, n_tasks: usize) -> (Vec<usize>, Vec<u32>) {
+    let tasks_of = |nearby: &BoundedTriangle| {
+        let [_, js, ks] = nearby.ranges.clone();
+        ks.flat_map(move |k| {
+            let (first, end) = (js.start + ny * k, js.end + ny * k);
+            if js.is_empty() { 0..0 } else { first / ROWS..(end - 1) / ROWS + 1 }
+        })
+    };
+    // A task with rows of two planes lists a triangle once.
+    let mut last = vec![NONE; n_tasks];
+    let mut of_tasks = Vec::new();
+    for (number, nearby) in (0..).zip(triangles) {
+        for task in tasks_of(nearby) {
+            if last[task] != number {
+                last[task] = number;
+                of_tasks.push((task, number));
+            }
+        }
+    }
+    let (start, order) = counting_sort(n_tasks, of_tasks.iter().map(|(task, _)| *task));
+    (start, order.into_iter().map(|at| of_tasks[at].1).collect())
 }
 
 /// A triangle with the lattice points in its enlarged bounding box.
 struct BoundedTriangle {
     triangle: Triangle,
     normal: DVec3,
+    /// Bounding box, m.
+    low: DVec3,
+    high: DVec3,
     /// Index ranges per axis.
     ranges: [std::ops::Range<usize>; 3],
 }
 
 impl BoundedTriangle {
     fn new(lattice: &Lattice, reach: f64, [a, b, c]: [DVec3; 3]) -> BoundedTriangle {
-        let (low, high) = (a.min(b).min(c) - reach, a.max(b).max(c) + reach);
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         // A triangle without area is covered by its neighbours.
         let normal = (b - a).cross(c - a).try_normalize();
         BoundedTriangle {
             triangle: Triangle::new(a, b, c),
             normal: normal.unwrap_or(DVec3::ZERO),
+            low,
+            high,
             ranges: [0, 1, 2].map(|axis| match normal {
-                Some(_) => lattice.range(axis, low[axis], high[axis]),
+                Some(_) => lattice.range(axis, low[axis] - reach, high[axis] + reach),
                 None => 0..0,
             }),
         }
     }
 
-    /// Calls `visit` with the points within reach in some planes along z and their squared distances. `visit` returns the
+    /// Calls `visit` with the points within reach in some rows along x and their squared distances. `visit` returns the
     /// square above which further distances of the point are irrelevant.
     fn each_near_point(
         &self,
         lattice: &Lattice,
         reach: f64,
-        planes: &std::ops::Range<usize>,
+        rows: std::ops::Range<usize>,
         mut visit: impl FnMut(usize, f64) -> f64,
     ) {
         let [is, js, ks] = self.ranges.clone();
         let [nx, ny, _] = lattice.n;
-        for k in ks.start.max(planes.start)..ks.end.min(planes.end) {
-            for j in js.clone() {
-                for i in is.clone() {
-                    let (x, point) = (lattice.at([i, j, k]), i + nx * (j + ny * k));
-                    let height = (x - self.triangle.a).dot(self.normal);
-                    let most = visit(point, f64::INFINITY).min(reach * reach);
-                    if height * height >= most {
-                        continue;
-                    }
-                    let (nearest, _) = self.triangle.project_local_point_and_get_location(x, true);
-                    let square = x.distance_squared(nearest.point);
-                    if square < most {
-                        visit(point, square);
-                    }
+        let slack = BOX_SLACK * lattice.dx * lattice.dx;
+        for row in rows {
+            let (j, k) = (row % ny, row / ny);
+            if !(js.contains(&j) && ks.contains(&k)) {
+                continue;
+            }
+            for i in is.clone() {
+                let (x, point) = (lattice.at([i, j, k]), i + nx * row);
+                let height = (x - self.triangle.a).dot(self.normal);
+                let most = visit(point, f64::INFINITY).min(reach * reach);
+                if height * height >= most {
+                    continue;
+                }
+                // No point of the triangle is nearer than its box.
+                let beyond = (self.low - x).max(x - self.high).max(DVec3::ZERO);
+                if beyond.length_squared() > most + slack {
+                    continue;
+                }
+                let (nearest, _) = self.triangle.project_local_point_and_get_location(x, true);
+                let square = x.distance_squared(nearest.point);
+                if square < most {
+                    visit(point, square);
                 }
             }
         }

@@ -220,101 +220,54 @@ impl SolidClip {
     /// Clips the solids at their positions.
     pub fn clip(&mut self, mesh: &MovedMesh) {
         self.restore();
-        let (clipping, (coupling, corners)) = self.patches_and_corners(mesh);
-        self.patches = clipping.patches.clone();
-        self.coupling = coupling;
-        self.distances(mesh, &corners);
-        let sums = self.line_sums(&clipping);
-        self.closure_defect = sums.iter().map(|(_, defect)| *defect).fold(0.0, f64::max);
-        let open = match &mut self.near_corners {
-            None => sums.map(|(open, _)| open),
-            Some(near) => {
-                near.update(&corners);
-                nodal_areas(&self.grid, near, mesh)
-            }
+        let surface = Surface { vertices: mesh.nodes.clone(), triangles: mesh.triangles.to_vec() };
+        let corners: Vec<[DVec3; 3]> = (0..surface.triangles.len()).map(|triangle| surface.corners(triangle)).collect();
+        let SolidClip { grid, cut, obstacles, near_centres, near_corners, .. } = self;
+        let left = &obstacles.cut.solid_distance;
+        let cut_surface = || {
+            let clipping = clip(&surface, grid);
+            let coupling = || Coupling::new(&clipping.patches, mesh.triangles, mesh.nodes.len());
+            let (coupling, sums) = rayon::join(coupling, || all_line_sums(grid, &clipping));
+            (clipping.patches, coupling, sums)
         };
-        for (axis, changes) in Axis::ALL.into_iter().zip(open) {
-            let a = axis.index();
+        let distances = || Distances::new(grid, near_centres, left, mesh, &corners);
+        let ((patches, coupling, mut sums), distances) = rayon::join(cut_surface, distances);
+        (self.patches, self.coupling) = (patches, coupling);
+        self.closure_defect = sums.iter().map(|(_, defect)| *defect).fold(0.0, f64::max);
+        if let Some(near) = near_corners {
+            near.update(&corners);
+            for (sums, areas) in sums.iter_mut().zip(nodal_areas(grid, near, mesh)) {
+                sums.0 = areas;
+            }
+        }
+        let (raw, clamp, open_sides) = (&obstacles.raw, self.area_clamp, obstacles.open_sides);
+        let axes = Axis::ALL.into_par_iter().zip(&mut cut.open).zip(&mut self.changed_faces).zip(sums);
+        axes.for_each(|(((axis, open), changed), (changes, _))| {
             for (face, change) in changes {
-                let at = self.grid.face_at(axis, face);
-                if !is_wall(&self.grid, self.obstacles.open_sides, axis, at) {
-                    let open = self.obstacles.raw[a][face] + change;
-                    self.cut.open[a][face] = clamp_open(open, self.area_clamp);
-                    self.changed_faces[a].push(face);
+                if !is_wall(grid, open_sides, axis, grid.face_at(axis, face)) {
+                    open[face] = clamp_open(raw[axis.index()][face] + change, clamp);
+                    changed.push(face);
                 }
             }
+        });
+        self.band = distances.band;
+        self.overlap = distances.overlap;
+        self.changed_cells.extend(distances.cells.iter().map(|(cell, _)| cell));
+        for (cell, distance) in distances.cells {
+            cut.solid_distance[cell] = distance;
         }
     }
 
     fn restore(&mut self) {
         let left = &self.obstacles.cut;
-        for (a, faces) in self.changed_faces.iter_mut().enumerate() {
+        let axes = self.changed_faces.par_iter_mut().zip(&mut self.cut.open).zip(&left.open);
+        axes.for_each(|((faces, open), left)| {
             for face in faces.drain(..) {
-                self.cut.open[a][face] = left.open[a][face];
+                open[face] = left[face];
             }
-        }
+        });
         for cell in self.changed_cells.drain(..) {
             self.cut.solid_distance[cell] = left.solid_distance[cell];
-        }
-    }
-
-    /// Patches with J, and corners of the triangles.
-    fn patches_and_corners(&self, mesh: &MovedMesh) -> (Clipping, (Coupling, Vec<[DVec3; 3]>)) {
-        let surface = Surface { vertices: mesh.nodes.clone(), triangles: mesh.triangles.to_vec() };
-        let clipping = clip(&surface, &self.grid);
-        let coupling = Coupling::new(&clipping.patches, mesh.triangles, mesh.nodes.len());
-        let triangles = 0..surface.triangles.len();
-        let corners = triangles.map(|triangle| surface.corners(triangle));
-        (clipping, (coupling, corners.collect()))
-    }
-
-    /// Aperture changes per axis as (face, change), and the largest closure defect of a line.
-    fn line_sums(&self, clipping: &Clipping) -> [(Vec<(usize, f64)>, f64); 3] {
-        let mut sums = Axis::ALL.map(|_| (Vec::new(), 0.0));
-        let axes = Axis::ALL.into_par_iter().zip(&mut sums);
-        axes.for_each(|(axis, sums)| *sums = line_sums(&self.grid, axis, clipping));
-        sums
-    }
-
-    /// Distances at cell centres, narrow band and overlaps.
-    fn distances(&mut self, mesh: &MovedMesh, corners: &[[DVec3; 3]]) {
-        let near = &mut self.near_centres;
-        let points = inside_tetrahedra(&near.lattice, mesh.elements, body_of(mesh), &mesh.nodes);
-        near.update(corners);
-        let reach = BAND * self.grid.dx;
-        let left = &self.obstacles.cut.solid_distance;
-        let inside = |cell: usize| points.binary_search_by_key(&cell, |point| point.0).is_ok();
-        let signed = |cell: usize| {
-            let distance = near.distance(cell).min(reach);
-            if inside(cell) { -distance } else { distance }
-        };
-        let near_cells = near.near.par_iter().map(|&cell| {
-            let distance = signed(cell);
-            // A nearer obstacle takes precedence.
-            let nearest = (distance < left[cell]).then(|| near.nearest(cell, |triangle| corners[triangle])).flatten();
-            let nearest = nearest.map(|(triangle, weights)| Nearest { cell, triangle, weights });
-            ((cell, distance), nearest)
-        });
-        let (distances, band): (Vec<(usize, f64)>, Vec<Option<Nearest>>) = near_cells.unzip();
-        self.band = band.into_iter().flatten().collect();
-        self.overlap = Overlap::default();
-        for bodies in points.chunk_by(|a, b| a.0 == b.0) {
-            let cell = bodies[0].0;
-            let distance = signed(cell);
-            let shared = match bodies.len() {
-                1 => distance.max(left[cell]),
-                _ => distance,
-            };
-            self.overlap.add(-shared, self.grid.dx);
-            // Deeper than the band.
-            if distance == -reach {
-                self.cut.solid_distance[cell] = -reach;
-                self.changed_cells.push(cell);
-            }
-        }
-        for (cell, distance) in distances {
-            self.cut.solid_distance[cell] = distance.min(left[cell]);
-            self.changed_cells.push(cell);
         }
     }
 
@@ -328,11 +281,11 @@ impl SolidClip {
         &self.obstacles
     }
 
-    /// Faces per axis, and cells, that differ from those of the static obstacles; unsorted, with repetitions.
-    pub fn changed(&self) -> ([Vec<usize>; 3], Vec<usize>) {
-        let (faces, cells) = self.obstacles.changed();
-        let all_faces = [0, 1, 2].map(|a| [faces[a], &self.changed_faces[a]].concat());
-        (all_faces, [cells, &self.changed_cells].concat())
+    /// Faces per axis, and cells, that differ from those of the static obstacles, by moving obstacles, then by solids;
+    /// unsorted, with repetitions.
+    pub fn changed(&self) -> [([&[usize]; 3], &[usize]); 2] {
+        let solids = (self.changed_faces.each_ref().map(Vec::as_slice), self.changed_cells.as_slice());
+        [self.obstacles.changed(), solids]
     }
 
     /// Cells beside a moving surface, ascending.
@@ -380,8 +333,66 @@ impl SolidClip {
     }
 }
 
+/// Distances at cell centres near the solids and in them.
+struct Distances {
+    /// Cells near a surface, ascending, then those deeper in the solids, with their distance to obstacles and solids, m.
+    cells: Vec<(usize, f64)>,
+    band: Vec<Nearest>,
+    overlap: Overlap,
+}
+
+impl Distances {
+    /// `left`: distance to the obstacles, m. `corners`: those of the surface triangles.
+    fn new(
+        grid: &Grid,
+        near: &mut NearestTriangles,
+        left: &[f64],
+        mesh: &MovedMesh,
+        corners: &[[DVec3; 3]],
+    ) -> Distances {
+        let (points, ()) = rayon::join(
+            || inside_tetrahedra(&centres(grid), mesh.elements, body_of(mesh), &mesh.nodes),
+            || near.update(corners),
+        );
+        let reach = BAND * grid.dx;
+        let inside = |cell: usize| points.binary_search_by_key(&cell, |point| point.0).is_ok();
+        let near_cells = near.near.par_iter().map(|&cell| {
+            let distance = near.distance(cell).min(reach);
+            let distance = if inside(cell) { -distance } else { distance };
+            // A nearer obstacle takes precedence.
+            let nearest = (distance < left[cell]).then(|| near.nearest(cell, |triangle| corners[triangle])).flatten();
+            let nearest = nearest.map(|(triangle, weights)| Nearest { cell, triangle, weights });
+            ((cell, distance.min(left[cell])), nearest)
+        });
+        let (mut cells, band): (Vec<(usize, f64)>, Vec<Option<Nearest>>) = near_cells.unzip();
+        let mut overlap = Overlap::default();
+        for bodies in points.chunk_by(|a, b| a.0 == b.0) {
+            let cell = bodies[0].0;
+            let distance = -near.distance(cell).min(reach);
+            let shared = match bodies.len() {
+                1 => distance.max(left[cell]),
+                _ => distance,
+            };
+            overlap.add(-shared, grid.dx);
+            // Deeper than the band.
+            if distance == -reach {
+                cells.push((cell, -reach));
+            }
+        }
+        Distances { cells, band: band.into_iter().flatten().collect(), overlap }
+    }
+}
+
 fn body_of(mesh: &MovedMesh) -> impl Fn(usize) -> u32 + Sync {
     |element| mesh.bodies.partition_point(|body| body.end <= element) as u32
+}
+
+/// [`line_sums`] of all axes.
+fn all_line_sums(grid: &Grid, clipping: &Clipping) -> [(Vec<(usize, f64)>, f64); 3] {
+    let mut sums = Axis::ALL.map(|_| (Vec::new(), 0.0));
+    let axes = Axis::ALL.into_par_iter().zip(&mut sums);
+    axes.for_each(|(axis, sums)| *sums = line_sums(grid, axis, clipping));
+    sums
 }
 
 /// Aperture changes (face, change) along the grid lines of an axis that meet a surface, and their largest closure defect.
@@ -404,7 +415,7 @@ pub(super) fn line_sums(grid: &Grid, axis: Axis, clipping: &Clipping) -> (Vec<(u
         (line(cell), ghost.cell[a], ghost.flux)
     });
     let mut crossings: Vec<(usize, isize, f64)> = patches.chain(ghosts).collect();
-    crossings.sort_by_key(|&(line, at, _)| (line, at));
+    crossings.par_sort_by_key(|&(line, at, _)| (line, at));
     let [nx, ny, _] = grid.faces(axis);
     let stride = [1, nx, nx * ny][a];
     let (mut changes, mut defect) = (Vec::new(), 0.0_f64);

@@ -1,6 +1,7 @@
 //! Coupling of liquid and solids on a device: clipping on the host, the coupling matrix J, and the solve for both.
 
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::effects::Effects;
@@ -309,8 +310,8 @@ impl GpuCoupling {
         };
         self.clip.move_obstacles(time, span);
         self.clip.clip(&solids.solids.moved(displacement));
-        let pairs = self.pairs(&grid);
-        if !(self.on_device.fits(&self.clip) && self.buffers.fits(&pairs)) {
+        let (pairs, cut) = (self.pairs(&grid), self.on_device.cut(&self.clip));
+        if !(self.on_device.fits(&cut) && self.buffers.fits(&pairs)) {
             let capacity = Capacity::for_clip(&grid, &self.clip, self.on_device.n_differing());
             self.capacity = self.capacity.joined(capacity);
             let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
@@ -328,10 +329,10 @@ impl GpuCoupling {
         self.buffers.write(gpu, &pairs, density * grid.dx.powi(3) / dt)?;
         let ClipTime::SubStep { dt_last, .. } = at else {
             liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
-            self.on_device.write(gpu, &self.clip, triangles, true);
+            self.on_device.write(gpu, (&self.clip, cut), triangles, true);
             return Ok(());
         };
-        self.on_device.write(gpu, &self.clip, triangles, false);
+        self.on_device.write(gpu, (&self.clip, cut), triangles, false);
         if self.stages.patch_pressure.is_some() {
             let moments = self.moments(&grid, triangles);
             let scale = if dt_last > 0.0 { density / dt_last } else { 0.0 };
@@ -364,7 +365,7 @@ impl GpuCoupling {
     /// J in device units.
     fn pairs(&self, grid: &Grid) -> Vec<Pair> {
         let (padded, area) = (grid.padded(), grid.dx * grid.dx);
-        let pairs = self.clip.coupling().pairs().iter();
+        let pairs = self.clip.coupling().pairs().par_iter();
         pairs
             .map(|pair| Pair {
                 cell: padded.index(grid.cell_at(pair.cell)),

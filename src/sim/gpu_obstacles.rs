@@ -2,7 +2,7 @@
 //! cut quads. With solids [`GpuCoupling`](super::gpu_coupling::GpuCoupling) does both.
 
 use crate::Error;
-use crate::fields::{ClipBuffers, ClipSize};
+use crate::fields::{ClipBuffers, ClipSize, CutQuads};
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu};
 
@@ -30,9 +30,9 @@ impl GpuObstacles {
 
     /// Writes the clipping of a state at a time, s.
     pub(super) fn write(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64) -> Result<(), Error> {
-        self.move_to(gpu, liquid, time, 0.0)?;
+        let cut = self.move_to(gpu, liquid, time, 0.0)?;
         liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
-        self.on_device.write(gpu, &self.clip, &[], true);
+        self.on_device.write(gpu, (&self.clip, cut), &[], true);
         Ok(())
     }
 
@@ -42,21 +42,22 @@ impl GpuObstacles {
     /// # Errors
     /// [`Error::Limit`] when a larger capacity exceeds the adapter's limits.
     pub(super) fn update_clip(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64, dt: f64) -> Result<(), Error> {
-        self.move_to(gpu, liquid, time, dt)?;
-        self.on_device.write(gpu, &self.clip, &[], false);
+        let cut = self.move_to(gpu, liquid, time, dt)?;
+        self.on_device.write(gpu, (&self.clip, cut), &[], false);
         Ok(())
     }
 
-    fn move_to(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64, dt: f64) -> Result<(), Error> {
+    fn move_to(&mut self, gpu: &Gpu, liquid: &mut GpuLiquid, time: f64, dt: f64) -> Result<CutQuads, Error> {
         self.clip.move_obstacles(time, dt);
-        if !self.on_device.fits(&self.clip) {
+        let cut = self.on_device.cut(&self.clip);
+        if !self.on_device.fits(&cut) {
             let grid = &liquid.buffers.plan.grid;
             let needed = ClipSize::of(grid, &self.clip, self.on_device.n_differing()).ample();
             let size = self.on_device.size.joined(needed);
             self.on_device = self.on_device.resized(gpu, size)?;
             self.stage = bind(gpu, liquid, &self.on_device)?;
         }
-        Ok(())
+        Ok(cut)
     }
 }
 

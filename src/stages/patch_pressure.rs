@@ -2,8 +2,10 @@
 //! twin, `reference/patch_pressure.rs`.
 
 use crate::fields::{CouplingBuffers, Pair, SolidBuffers, SolidSystemBuffers, SolverBuffers};
+use crate::geometry::counting_sort;
 use crate::gpu::bind;
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 
 use crate::Error;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
@@ -115,25 +117,24 @@ impl PatchPressure {
     /// [`CouplingBuffers::write`], in its order. `at_rest`: as for [`PatchPressure::new`]; `scale`: rho / dt of the last sub-step, 0 before the first.
     pub fn write(&mut self, gpu: &Gpu, pairs: &[Pair], moments: &[DMat3], (at_rest, scale): (DVec3, f64)) {
         let mut wet = 0;
-        let mut order: Vec<(usize, usize)> = Vec::with_capacity(pairs.len());
+        // Slope of each pair.
+        let mut slopes: Vec<usize> = Vec::with_capacity(pairs.len());
         for (at, pair) in pairs.iter().enumerate() {
             if at > 0 && pairs[at - 1].cell / 4 != pair.cell / 4 {
                 wet += 1;
             }
-            order.push((at, 4 * wet + pair.cell % 4));
+            slopes.push(4 * wet + pair.cell % 4);
         }
-        // Stable: as the pairs of the nodes are sorted.
-        order.sort_by_key(|&(at, _)| pairs[at].node);
-        let rows: Vec<[u32; 4]> = order
-            .iter()
-            .flat_map(|&(at, slope)| {
-                [0, 1, 2].map(|row| {
-                    let [x, y, z] = moments[at].row(row).as_vec3().to_array().map(f32::to_bits);
-                    [x, y, z, slope as u32]
-                })
+        // As the pairs of the nodes are ordered.
+        let (_, order) = counting_sort(self.n_nodes, pairs.iter().map(|pair| pair.node));
+        let rows = |&at: &usize| {
+            [0, 1, 2].map(|row| {
+                let [x, y, z] = moments[at].row(row).as_vec3().to_array().map(f32::to_bits);
+                [x, y, z, slopes[at] as u32]
             })
-            .collect();
-        gpu.upload(&self.moments, &rows);
+        };
+        let rows: Vec<[[u32; 4]; 3]> = order.par_iter().map(rows).collect();
+        gpu.upload(&self.moments, rows.as_flattened());
         let slope = PressureSlope { at_rest: at_rest.as_vec3().to_array(), scale: scale as f32 };
         gpu.upload(&self.slope, &[slope]);
         self.changes |= at_rest != self.at_rest;

@@ -63,7 +63,8 @@ impl CoupledCase {
         let buffers = self.liquid.upload(gpu);
         let size = ClipSize::of(grid, &self.clip, 0);
         let mut clip = ClipBuffers::new(gpu, grid, size).unwrap();
-        clip.write(gpu, &self.clip, &self.solids.triangles, false);
+        let cut = clip.cut(&self.clip);
+        clip.write(gpu, (&self.clip, cut), &self.solids.triangles, false);
         let real = if gpu.has_f64() { Real::F64 } else { Real::F32 };
         let n = self.velocity.len();
         let velocity = RealBuffer::new(gpu, "test.velocity", 4 * n, real).unwrap();

@@ -55,11 +55,13 @@ fn fields_are_those_of_the_clipping() {
         let mut on_device = ClipBuffers::new(gpu, &grid, size).unwrap();
         let stage = stages::clip(gpu, &buffers, &on_device).unwrap();
         let walls = stages::extrapolate(gpu, &buffers, Some((&on_device, None))).unwrap();
-        on_device.write(gpu, &clips[0], &solids.triangles, true);
+        let first = on_device.cut(&clips[0]);
+        on_device.write(gpu, (&clips[0], first), &solids.triangles, true);
         for (number, clip) in clips.iter().enumerate() {
             let what = format!("{} solids, clipping {number}", solids.bodies.len());
-            assert!(on_device.fits(clip), "{what}");
-            on_device.write(gpu, clip, &solids.triangles, false);
+            let cut = on_device.cut(clip);
+            assert!(on_device.fits(&cut), "{what}");
+            on_device.write(gpu, (clip, cut), &solids.triangles, false);
             let mut recorder = Recorder::new(gpu);
             stage.record(&mut recorder);
             // The band is empty: only the velocities of the walls are made.
