@@ -2,13 +2,15 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::grid::Axis;
-use cutwater::reference::larger;
-use cutwater::scene::Scene;
+use cutwater::reference::{larger, open_volumes};
+use cutwater::scene::{Scene, Surface};
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, StepReport};
+use glam::DVec3;
 
 use crate::Case;
 use crate::common::area_from_above;
@@ -35,17 +37,31 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
+/// Surface of the scenes that name none: `--surface`.
+pub(crate) static SURFACE: OnceLock<String> = OnceLock::new();
+
+/// The override of the surface in a scene of liquid that names none. Separation needs markers.
+fn surface_of(text: &str) -> Option<String> {
+    let names = |key: &str| text.lines().any(|line| line.trim_start().trim_start_matches("liquid.").starts_with(key));
+    let free = text.contains("[[liquid.region]]") && !names("surface") && !names("separation");
+    SURFACE.get().filter(|_| free).map(|surface| format!("liquid.surface={surface}"))
+}
+
 /// A scene of `scenes/`, with overrides.
 pub(crate) fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
-    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    Scene::load(&file(&format!("scenes/{name}.toml")), &overrides, scale).unwrap_or_else(|error| panic!("{error}"))
+    let path = file(&format!("scenes/{name}.toml"));
+    let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let text = format!("{text}\n{}", overrides.join("\n"));
+    let overrides = overrides.iter().map(|&text| text.to_owned()).chain(surface_of(&text)).collect::<Vec<_>>();
+    Scene::load(&path, &overrides, scale).unwrap_or_else(|error| panic!("{error}"))
 }
 
 pub(crate) fn written(text: &str) -> Scene {
     let folder = tempfile::tempdir().expect("a folder for the scene");
     let path = folder.path().join("case.toml");
     fs::write(&path, text).expect("the scene is written");
-    Scene::load(&path, &[], 1.0).unwrap_or_else(|error| panic!("{error}"))
+    let surface: Vec<String> = surface_of(text).into_iter().collect();
+    Scene::load(&path, &surface, 1.0).unwrap_or_else(|error| panic!("{error}"))
 }
 
 pub(crate) fn simulation(scene: &Scene, backend: &Backend) -> Simulation {
@@ -304,11 +320,29 @@ fn coarse_waves(sheet: &mut Sheet) {
     }
 }
 
-/// Mean position of the markers, m. A long wave moves it; the roughness of the surface does not.
-pub(crate) fn middle(simulation: &Simulation) -> [f64; 3] {
+/// Mean of a function of the position (m) over the liquid: over its markers, or with a level, whose markers fill a band alone, over the cells by
+/// their filled volume.
+pub(crate) fn mean(simulation: &Simulation, of: impl Fn(DVec3) -> f64) -> f64 {
     let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
-    let n = state.markers.len() as f64;
-    [0, 1, 2].map(|axis| state.markers.iter().map(|x| x[axis]).sum::<f64>() / n)
+    let grid = simulation.scene().grid();
+    let liquid = simulation.scene().liquid.as_ref().expect("the scene has liquid");
+    if liquid.surface == Surface::Markers {
+        let sum: f64 = state.markers.iter().map(|&x| of(x.into())).sum();
+        return sum / state.markers.len() as f64;
+    }
+    let open = open_volumes(&grid, &simulation.cut_cells().solid_distance);
+    let (mut sum, mut volume) = (0.0, 0.0);
+    for (cell, (open, phi)) in open.iter().zip(&state.liquid_distance).enumerate() {
+        let filled = open * (0.5 - phi / grid.dx).clamp(0.0, 1.0);
+        sum += filled * of(grid.cell_centre(grid.cell_at(cell)));
+        volume += filled;
+    }
+    sum / volume
+}
+
+/// Centre of mass of the liquid, m. A long wave moves it; the roughness of the surface does not.
+pub(crate) fn middle(simulation: &Simulation) -> [f64; 3] {
+    [0, 1, 2].map(|axis| mean(simulation, |x| x[axis]))
 }
 
 fn collapsing_column(sheet: &mut Sheet) {

@@ -6,6 +6,7 @@
 //! make validate ARGS=--full         # all cases
 //! make validate CASES="S2 S9/f64"   # cases of any class whose id contains one of these
 //! make validate ARGS=--resume       # resumes a stopped run
+//! make validate ARGS="--surface level" CASES=F    # with another surface of the liquid
 //! ```
 //!
 //! A case is a function that fills a [`Sheet`] with rows: quantity, expected and computed value, bound. Each topic has a file that
@@ -171,6 +172,8 @@ struct Options {
     resume: bool,
     publish: bool,
     jobs: usize,
+    /// Surface of the liquid in cases that name none.
+    surface: Option<String>,
     /// The most expensive class that runs.
     class: Class,
     /// Parts of ids.
@@ -184,6 +187,7 @@ impl Options {
             resume: false,
             publish: false,
             jobs: std::thread::available_parallelism().map_or(1, usize::from),
+            surface: None,
             class: Class::Default,
             filters: Vec::new(),
         };
@@ -199,13 +203,23 @@ impl Options {
                     Some(Ok(number)) if number > 0 => options.jobs = number,
                     _ => return Err("--jobs needs a number of cases to run at once".into()),
                 },
+                "--surface" => match arguments.next() {
+                    Some(name) if ["markers", "level"].contains(&name.as_str()) => options.surface = Some(name),
+                    _ => return Err("--surface needs markers or level".into()),
+                },
                 option if option.starts_with('-') => {
                     return Err(format!(
-                        "no option {option}: use --quick, --full, --list, --resume, --publish, --jobs N, then parts of ids"
+                        "no option {option}: use --quick, --full, --list, --resume, --publish, --jobs N, --surface NAME, then parts of ids"
                     ));
                 }
                 _ => options.filters.push(argument),
             }
+        }
+        if options.surface.is_some() && (options.publish || options.resume) {
+            return Err(
+                "--surface is about other rows than those published and stored: leave --publish and --resume away"
+                    .into(),
+            );
         }
         // A case that is named runs whatever it costs.
         let of_names = match options.filters.is_empty() {
@@ -285,6 +299,9 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         classes(cost::sums(cases.iter().map(|case| (case.id.as_str(), before(case)))))
     );
     let start = Instant::now();
+    if let Some(surface) = &options.surface {
+        liquid::SURFACE.get_or_init(|| surface.clone());
+    }
     let store = ResultStore::new(&sheet::folder(), &machine)?;
     if !options.resume {
         store.remove_others()?;

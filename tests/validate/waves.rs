@@ -4,7 +4,7 @@ use cutwater::reference::larger;
 use cutwater::sim::Simulation;
 
 use crate::Case;
-use crate::liquid::{GRAVITY, crossings, gpu, middle, points, simulation, step, table, written};
+use crate::liquid::{GRAVITY, crossings, gpu, mean, middle, points, simulation, step, table, written};
 use crate::page::{Line, Mark};
 use crate::sheet::Sheet;
 
@@ -103,7 +103,7 @@ fn round_tank(sheet: &mut Sheet) {
 }
 
 /// F5: the mode of a square tank with a node line along each middle, 1 m wide, half as deep. A wave along the diagonal holds it, and
-/// modes that are even about the middle, which the moment of the markers about both middles does not see.
+/// modes that are even about the middle, which the moment about both middles does not see.
 fn square_tank(sheet: &mut Sheet) {
     let (depth, cells) = (0.5, 32);
     let dx = 1.0 / f64::from(cells);
@@ -125,11 +125,7 @@ fn square_tank(sheet: &mut Sheet) {
         periods: 2.5,
         allowed: 0.02,
     };
-    let moment = |simulation: &Simulation| {
-        let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
-        let sum = state.markers.iter().map(|x| (x[0] - 0.5) * (x[2] - 0.5));
-        1e3 * sum.sum::<f64>() / state.markers.len() as f64
-    };
+    let moment = |simulation: &Simulation| 1e3 * mean(simulation, |x| (x.x - 0.5) * (x.z - 0.5));
     swing.watch(&text, moment, sheet);
 }
 
