@@ -153,6 +153,14 @@ effects! {
             (_, true) => "solver.solid_contact = true",
         }
         .to_owned();
+    /// Friction of solids: tangential rows beside those of contact.
+    friction: |scene, effects| effects.solid_contact && scene.has_friction(),
+        |scene, effects| match (effects.solids, scene.has_friction()) {
+            (false, _) => "there are no solids",
+            (_, false) => "no friction above zero",
+            (_, true) => "friction of solids, obstacles or walls",
+        }
+        .to_owned();
     /// Liquid and solids: `clip` in every sub-step, coupling matrix J, and one solve for both while they touch.
     coupling: |scene, effects| scene.liquid.is_some() && effects.solids,
         |_, effects| coupling(effects).to_owned();

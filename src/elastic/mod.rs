@@ -81,6 +81,12 @@ pub struct Body {
     pub mass_damping: f64,
     /// tau_K, s.
     pub stiffness_damping: f64,
+    /// Coefficient of friction.
+    pub friction: f64,
+    /// Whether it touches other solids.
+    pub contact: bool,
+    /// Indices of bodies that it does not touch.
+    pub no_contact_with: Vec<usize>,
 }
 
 /// A body whose nodes move along circles when it rotates.

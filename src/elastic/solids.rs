@@ -69,6 +69,9 @@ impl Solids {
             model: solid.model,
             mass_damping: solid.mass_damping,
             stiffness_damping: solid.stiffness_damping,
+            friction: solid.friction,
+            contact: solid.contact,
+            no_contact_with: solid.no_contact_with.clone(),
         };
         let mut owners = vec![[None; 3]; mesh.nodes.len()];
         for (number, pin) in solid.pins.iter().enumerate() {
@@ -350,6 +353,13 @@ impl Solids {
         let aside = |node: &usize| (self.rest[*node] - self.rest[first]).cross(line).length();
         let straight = |node: &usize| aside(node) <= STRAIGHT * line.length_squared();
         constrained.iter().all(straight).then_some([first, last])
+    }
+
+    /// Whether two bodies touch each other where they meet.
+    pub fn may_touch(&self, one: usize, other: usize) -> bool {
+        let [a, b] = [one, other].map(|number| &self.bodies[number]);
+        let excluded = a.no_contact_with.contains(&other) || b.no_contact_with.contains(&one);
+        a.contact && b.contact && !excluded
     }
 
     /// The body of an element.

@@ -11,6 +11,8 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 use glam::DVec3;
+use parry3d_f64::bounding_volume::Aabb;
+use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy};
 use parry3d_f64::query::PointQueryWithLocation;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
@@ -109,22 +111,25 @@ impl ContactPair {
     }
 }
 
-/// The pairs within `reach` (m) of all bodies, one per set of nodes, in the order of their nodes. `positions` of all nodes,
+/// Whether two bodies of these numbers may touch.
+pub type MayTouch<'a> = &'a dyn Fn(usize, usize) -> bool;
+
+/// The pairs within `reach` (m) of all bodies that may touch, one per set of nodes, in the order of their nodes. `positions` of all nodes,
 /// m; `bodies`: ranges of `triangles`.
 pub fn contact_pairs(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
-    bodies: &[Range<usize>],
+    (bodies, may_touch): (&[Range<usize>], MayTouch),
     reach: f64,
 ) -> Vec<ContactPair> {
-    let skins = bodies.iter();
-    let skins = skins.filter_map(|body| Skin::new(positions, &triangles[body.clone()]));
-    let skins: Vec<Skin> = skins.collect();
+    let skins = bodies.iter().enumerate();
+    let skins = skins.filter_map(|(number, body)| Some((number, Skin::new(positions, &triangles[body.clone()])?)));
+    let skins: Vec<(usize, Skin)> = skins.collect();
     let mut pairs = Vec::new();
-    for (number, skin) in skins.iter().enumerate() {
-        for (other_number, other) in skins.iter().enumerate() {
+    for (number, skin) in &skins {
+        for (other_number, other) in &skins {
             let apart = !other.is_near(&[skin.low, skin.high], reach);
-            if other_number == number || apart {
+            if other_number == number || apart || !may_touch(*number, *other_number) {
                 continue;
             }
             let beside = |&node: &u32| {
@@ -149,7 +154,7 @@ pub fn contact_hits(
     positions: &[DVec3],
     ways: &[DVec3],
     triangles: &[[u32; 3]],
-    bodies: &[Range<usize>],
+    (bodies, may_touch): (&[Range<usize>], MayTouch),
     depth: f64,
 ) -> Vec<ContactPair> {
     let ends: Vec<DVec3> = positions.iter().zip(ways).map(|(x, way)| x + way).collect();
@@ -158,23 +163,20 @@ pub fn contact_hits(
     let mut hits = Vec::new();
     for (number, body) in swept.iter().enumerate() {
         for (other_number, other) in swept.iter().enumerate() {
-            if other_number == number || !meet(&body.bounds, &other.bounds) {
+            let apart = !meet(&body.bounds, &other.bounds);
+            if other_number == number || apart || !may_touch(number, other_number) {
                 continue;
             }
             let nodes = body.nodes.par_iter().map(|&node| (node, motion.bounds(&[node])));
             let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
             hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
-                let faces = other.faces.iter();
-                let faces = faces.filter(move |(_, of_face)| meet(&bounds, of_face));
-                faces.filter_map(move |(face, _)| motion.node_hit(node, *face))
+                let faces = meeting(&other.face_tree, &bounds).into_iter();
+                faces.filter_map(move |face| motion.node_hit(node, other.faces[face]))
             }));
             if number < other_number {
-                let edges = body.edges.par_iter();
-                let edges = edges.filter(|(_, bounds)| meet(bounds, &other.bounds));
-                hits.par_extend(edges.flat_map_iter(|(edge, bounds)| {
-                    let others = other.edges.iter();
-                    let others = others.filter(move |(_, of_other)| meet(bounds, of_other));
-                    others.filter_map(move |(other, _)| motion.edge_hit(edge, other))
+                hits.par_extend(body.edges.par_iter().flat_map_iter(|edge| {
+                    let others = meeting(&other.edge_tree, &motion.bounds(&edge.nodes)).into_iter();
+                    others.filter_map(move |at| motion.edge_hit(edge, &other.edges[at]))
                 }));
             }
         }
@@ -193,26 +195,46 @@ struct Motion<'a> {
 }
 
 /// A surface in a motion, with boxes that contain it.
-struct Swept {
+struct Swept<'a> {
     nodes: Vec<u32>,
-    faces: Vec<([u32; 3], [DVec3; 2])>,
+    faces: &'a [[u32; 3]],
+    /// Boxes of the faces.
+    face_tree: Bvh,
     /// Sharp edges.
-    edges: Vec<(Edge, [DVec3; 2])>,
+    edges: Vec<Edge>,
+    /// Boxes of these.
+    edge_tree: Bvh,
     bounds: [DVec3; 2],
 }
 
-impl Swept {
-    fn new(motion: &Motion, triangles: &[[u32; 3]]) -> Swept {
+impl<'a> Swept<'a> {
+    fn new(motion: &Motion, triangles: &'a [[u32; 3]]) -> Swept<'a> {
         let nodes: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
         let nodes: Vec<u32> = nodes.into_iter().collect();
         let edges = sharp_edges(motion.positions, triangles);
         Swept {
             bounds: motion.bounds(&nodes),
-            faces: (triangles.iter()).map(|face| (*face, motion.bounds(face))).collect(),
-            edges: (edges.iter()).map(|edge| (*edge, motion.bounds(&edge.nodes))).collect(),
+            faces: triangles,
+            face_tree: tree(triangles.iter().map(|face| motion.bounds(face))),
+            edge_tree: tree(edges.iter().map(|edge| motion.bounds(&edge.nodes))),
+            edges,
             nodes,
         }
     }
+}
+
+/// Tree of boxes.
+fn tree(boxes: impl Iterator<Item = [DVec3; 2]>) -> Bvh {
+    let boxes: Vec<Aabb> = boxes.map(|[low, high]| Aabb::new(low, high)).collect();
+    Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes)
+}
+
+/// Numbers of the boxes of a tree that have a point in common with a box, ascending.
+fn meeting(tree: &Bvh, [low, high]: &[DVec3; 2]) -> Vec<usize> {
+    let wanted = Aabb::new(*low, *high);
+    let mut found: Vec<usize> = tree.intersect_aabb(&wanted).map(|at| at as usize).collect();
+    found.sort_unstable();
+    found
 }
 
 /// Whether two boxes have a point in common.

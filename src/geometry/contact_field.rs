@@ -26,6 +26,15 @@ impl RigidVelocity {
     }
 }
 
+/// Coefficients of friction of walls and obstacles at rest.
+#[derive(Clone, Debug, Default)]
+pub struct SurfaceFriction {
+    /// Of the walls.
+    pub walls: f64,
+    /// Per cell, of the nearest obstacle at rest; empty without friction of these.
+    pub at_rest: Vec<f64>,
+}
+
 /// Distance to the obstacles, and their motions.
 #[derive(Clone, Debug)]
 pub struct ContactField {
@@ -38,6 +47,8 @@ pub struct ContactField {
     pub nearest: Vec<u32>,
     /// Motions of the moving obstacles.
     pub motions: Vec<RigidVelocity>,
+    /// Friction of walls and obstacles at rest.
+    pub friction: SurfaceFriction,
     bodies: Vec<MovingBody>,
     /// Distance to the obstacles at rest, m.
     at_rest: Vec<f64>,
@@ -46,13 +57,14 @@ pub struct ContactField {
 }
 
 impl ContactField {
-    /// Obstacles at rest. `distance` of the cell centres, m.
+    /// Obstacles at rest, without friction. `distance` of the cell centres, m.
     pub fn at_rest(grid: &Grid, distance: Vec<f64>) -> ContactField {
         ContactField {
             grid: *grid,
             distance,
             nearest: Vec::new(),
             motions: Vec::new(),
+            friction: SurfaceFriction::default(),
             bodies: Vec::new(),
             at_rest: Vec::new(),
             changed: Vec::new(),
@@ -129,11 +141,26 @@ impl ContactField {
 
     /// Velocity of the moving obstacle that is nearest to the cell of a point (m), at the point, m/s.
     pub fn velocity(&self, x: DVec3) -> Option<DVec3> {
+        Some(self.motions[self.moving_near(self.cell(x))?].at(x))
+    }
+
+    /// Coefficient of friction of the obstacle that is nearest to the cell of a point, m.
+    pub fn friction(&self, x: DVec3) -> f64 {
+        let cell = self.cell(x);
+        match self.moving_near(cell) {
+            Some(number) => self.bodies[number].friction,
+            None => self.friction.at_rest.get(cell).copied().unwrap_or(0.0),
+        }
+    }
+
+    fn cell(&self, x: DVec3) -> usize {
         let cells = self.grid.cells;
         let at = (x / self.grid.dx).to_array();
-        let cell = std::array::from_fn(|axis| (at[axis].max(0.0) as usize).min(cells[axis] - 1));
-        let number = *self.nearest.get(self.grid.cell(cell))?;
-        let motion = self.motions.get((number as usize).checked_sub(1)?)?;
-        Some(motion.at(x))
+        self.grid.cell(std::array::from_fn(|axis| (at[axis].max(0.0) as usize).min(cells[axis] - 1)))
+    }
+
+    /// Number of the moving obstacle that is nearest to a cell, from 0.
+    fn moving_near(&self, cell: usize) -> Option<usize> {
+        (*self.nearest.get(cell)? as usize).checked_sub(1)
     }
 }

@@ -48,9 +48,9 @@ mod tet_shapes;
 mod thickness;
 mod vtu;
 
-pub use body_contacts::{ContactPair, contact_hits, contact_pairs};
+pub use body_contacts::{ContactPair, MayTouch, contact_hits, contact_pairs};
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
-pub use contact_field::{ContactField, RigidVelocity};
+pub use contact_field::{ContactField, RigidVelocity, SurfaceFriction};
 pub use coupling::{CellNode, Coupling};
 pub use embedding::Embedding;
 pub use inside::inside;

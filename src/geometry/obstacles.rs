@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use super::clip::{Clipping, OpenFractions, clip, open_fractions};
 use super::distance::{BAND, Body, RigidDisplacement};
 use super::solid_clip::line_sums;
-use super::{ContactField, CutCells, RigidVelocity, Surface, clamp_open, close_walls, is_wall};
+use super::{ContactField, CutCells, RigidVelocity, Surface, SurfaceFriction, clamp_open, close_walls, is_wall};
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
 use crate::scene::{Acceleration, Keyframe, Motion, Obstacle, Scene};
@@ -21,6 +21,8 @@ pub struct ObstacleCut {
     pub(super) open_sides: Sides,
     /// Clamped and closed apertures, and distances.
     pub cut: CutCells,
+    /// Of walls and static obstacles.
+    friction: SurfaceFriction,
     moving: Option<Box<MovingObstacles>>,
 }
 
@@ -48,6 +50,8 @@ pub(super) struct MovingBody {
     pivot: DVec3,
     /// Greatest distance of a vertex from the pivot, m.
     pub(super) radius: f64,
+    /// Coefficient of friction.
+    pub(super) friction: f64,
 }
 
 /// Step of the difference quotient of a velocity, relative to the time to the next keyframe.
@@ -60,12 +64,17 @@ const CLOSURE_TOLERANCE: f64 = 1e-12;
 pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     let mut solid_distance = vec![BAND * grid.dx; grid.n_cells()];
     let mut clippings = Vec::new();
+    let rubs = scene.obstacles.iter().any(|obstacle| obstacle.motion.is_none() && obstacle.friction > 0.0);
+    let mut friction = SurfaceFriction {
+        walls: scene.domain.friction,
+        at_rest: if rubs { vec![0.0; grid.n_cells()] } else { Vec::new() },
+    };
     let mut start = 1.0;
     let mut bodies = Vec::new();
     for (number, obstacle) in scene.obstacles.iter().enumerate() {
         let name = scene.at(&format!("obstacle[{number}]"));
         if let Some(motion) = &obstacle.motion {
-            let body = MovingBody::new(Body::before_walls(obstacle, &name, grid)?, motion);
+            let body = MovingBody::new(Body::before_walls(obstacle, &name, grid)?, motion, obstacle.friction);
             // Tested at the start alone: a moving surface remains closed.
             body.ensure_closed(&name, grid)?;
             start += body.rest.at_infinity();
@@ -77,7 +86,10 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
         let clipping = clip(&body.surface, grid);
         ensure_closed(&name, &body.surface, &clipping, grid)?;
         clippings.push(clipping);
-        for (union, body) in solid_distance.iter_mut().zip(body.distance(grid)) {
+        for (cell, (union, body)) in solid_distance.iter_mut().zip(body.distance(grid)).enumerate() {
+            if rubs && body < *union {
+                friction.at_rest[cell] = obstacle.friction;
+            }
             *union = union.min(body);
         }
     }
@@ -88,12 +100,12 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     let open_sides = scene.domain.open;
     close_walls(grid, open_sides, &mut open);
     let cut = CutCells { open, solid_distance };
-    let mut all = ObstacleCut { raw: raw.clone(), open_sides, cut: cut.clone(), moving: None };
+    let mut all = ObstacleCut { raw: raw.clone(), open_sides, cut: cut.clone(), friction, moving: None };
     if !bodies.is_empty() {
         all.moving = Some(Box::new(MovingObstacles {
             grid: *grid,
             area_clamp,
-            field: ContactField::at_rest(grid, cut.solid_distance.clone()).with_moving(bodies),
+            field: all.contact_field(grid).with_moving(bodies),
             static_cut: cut,
             static_raw: raw,
             changed_faces: Default::default(),
@@ -113,7 +125,7 @@ pub fn deepest_obstacle(scene: &Scene, grid: &Grid, x: DVec3) -> Result<Option<u
         let name = scene.at(&format!("obstacle[{number}]"));
         let rest = Body::before_walls(obstacle, &name, grid)?;
         let body = match &obstacle.motion {
-            Some(motion) => MovingBody::new(rest, motion).at(0.0),
+            Some(motion) => MovingBody::new(rest, motion, obstacle.friction).at(0.0),
             None => rest,
         };
         let distance = body.signed_distance(x);
@@ -152,7 +164,7 @@ impl ObstacleCut {
         close_walls(grid, open_sides, &mut open);
         let solid_distance = vec![BAND * grid.dx; grid.n_cells()];
         let cut = CutCells { open, solid_distance };
-        ObstacleCut { raw, open_sides, cut, moving: None }
+        ObstacleCut { raw, open_sides, cut, friction: SurfaceFriction::default(), moving: None }
     }
 
     /// Apertures and distances of the static obstacles.
@@ -164,7 +176,11 @@ impl ObstacleCut {
     pub fn contact_field(&self, grid: &Grid) -> ContactField {
         match &self.moving {
             Some(moving) => moving.field.clone(),
-            None => ContactField::at_rest(grid, self.cut.solid_distance.clone()),
+            None => {
+                let mut field = ContactField::at_rest(grid, self.cut.solid_distance.clone());
+                field.friction = self.friction.clone();
+                field
+            }
         }
     }
 
@@ -281,12 +297,12 @@ impl MovingObstacles {
 }
 
 impl MovingBody {
-    fn new(rest: Body, motion: &Motion) -> MovingBody {
+    fn new(rest: Body, motion: &Motion, friction: f64) -> MovingBody {
         let [low, high] = rest.surface.bounds();
         let pivot = motion.pivot.unwrap_or(0.5 * (low + high));
         let distances = rest.surface.vertices.iter().map(|x| x.distance(pivot));
         let radius = distances.fold(0.0, f64::max);
-        MovingBody { rest, motion: motion.clone(), pivot, radius }
+        MovingBody { rest, motion: motion.clone(), pivot, radius, friction }
     }
 
     fn ensure_closed(&self, name: &str, grid: &Grid) -> Result<(), Error> {
@@ -348,7 +364,7 @@ impl ObstacleSurfaces {
             let body = Body::before_walls(obstacle, &name, grid)?;
             let surface = body.surface.clone();
             let motion = obstacle.motion.as_ref();
-            Ok((surface, motion.map(|motion| MovingBody::new(body, motion))))
+            Ok((surface, motion.map(|motion| MovingBody::new(body, motion, obstacle.friction))))
         };
         let bodies = scene.obstacles.iter().enumerate().map(body);
         Ok(ObstacleSurfaces { bodies: bodies.collect::<Result<_, Error>>()? })

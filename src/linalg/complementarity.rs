@@ -1,4 +1,5 @@
-//! Linear complementarity problems with a symmetric positive definite dense matrix: 0 <= z, 0 <= W z + q, z . (W z + q) = 0.
+//! Linear complementarity problems in a box, with a symmetric positive definite dense matrix: lower <= z <= upper, W z + q >= 0 where z = lower,
+//! <= 0 where z = upper, and 0 between.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::{factor, solve};
@@ -10,43 +11,69 @@ const PATIENCE: u32 = 5;
 const MOST_PIVOTS: u32 = 500;
 /// Rounding error of an unknown, relative to the largest.
 const ROUNDING: f64 = 1e-12;
+/// Bounds of an unknown that pushes and does not pull.
+pub const PUSHING: [f64; 2] = [0.0, f64::INFINITY];
+
+/// Place of an unknown in its box.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// At the lower bound.
+    Lower,
+    /// Between the bounds: W z + q = 0.
+    Between,
+    /// At the upper bound.
+    Upper,
+}
 
 /// Solution of a complementarity problem.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Complementarity {
     /// z
     pub z: Vec<f64>,
+    /// Places of z.
+    pub places: Vec<Place>,
     /// Exchanges, each with a factorisation.
     pub pivots: u32,
-    /// Unknowns with a wrong sign of z or of W z + q; 0 if solved.
+    /// Unknowns outside their bounds or with a wrong sign of W z + q; 0 if solved.
     pub wrong: u32,
 }
 
 /// Solves the problem by block principal pivoting (Judice and Pires 1994): all wrong unknowns are exchanged at once, and the
-/// last wrong one alone after five times without fewer of them, which ends. `matrix`: W(i, j).
-pub fn complementarity(matrix: impl Fn(usize, usize) -> f64, q: &[f64]) -> Complementarity {
+/// last wrong one alone after five times without fewer of them, which ends. `matrix`: W(i, j); `start`: first places, else from the signs of q.
+pub fn complementarity(
+    matrix: impl Fn(usize, usize) -> f64,
+    q: &[f64],
+    bounds: &[[f64; 2]],
+    start: Option<Vec<Place>>,
+) -> Complementarity {
     let n = q.len();
     let scale: Vec<f64> = (0..n).map(|i| matrix(i, i).sqrt()).collect();
     let largest = (0..n).fold(0.0, |most, i| f64::max(most, q[i].abs() / scale[i]));
-    let mut held: Vec<bool> = q.iter().map(|&q| q < 0.0).collect();
+    let mut places =
+        start.unwrap_or_else(|| q.iter().zip(bounds).map(|(q, bounds)| first_place(*q, *bounds)).collect());
     let (mut fewest, mut patience) = (n + 1, PATIENCE);
     for pivots in 1.. {
-        let z = held_solution(&matrix, q, &held);
+        let z = solution(&matrix, q, bounds, &places);
         let most = z.iter().fold(0.0, |most, z| f64::max(most, z.abs()));
-        let wrong = |i: usize| match held[i] {
-            true => z[i] < -ROUNDING * most,
-            false => {
-                let sum: f64 = (0..n).map(|j| matrix(i, j) * z[j]).sum();
-                sum + q[i] < -ROUNDING * largest * scale[i]
+        let right_place = |i: usize| {
+            let [lower, upper] = bounds[i];
+            if lower == upper {
+                return Place::Lower;
+            }
+            let product = || (0..n).map(|j| matrix(i, j) * z[j]).sum::<f64>() + q[i];
+            match places[i] {
+                Place::Between if z[i] < lower - ROUNDING * most => Place::Lower,
+                Place::Between if z[i] > upper + ROUNDING * most => Place::Upper,
+                Place::Lower if product() < -ROUNDING * largest * scale[i] => Place::Between,
+                Place::Upper if product() > ROUNDING * largest * scale[i] => Place::Between,
+                place => place,
             }
         };
-        let wrong: Vec<usize> = (0..n).filter(|&i| wrong(i)).collect();
+        let wrong: Vec<(usize, Place)> =
+            (0..n).map(|i| (i, right_place(i))).filter(|&(i, place)| place != places[i]).collect();
         if wrong.is_empty() || pivots == MOST_PIVOTS {
-            return Complementarity {
-                z: z.into_iter().map(|z| z.max(0.0)).collect(),
-                pivots,
-                wrong: wrong.len() as u32,
-            };
+            let z = z.into_iter().zip(bounds).map(|(z, [lower, upper])| z.max(*lower).min(*upper));
+            return Complementarity { z: z.collect(), places, pivots, wrong: wrong.len() as u32 };
         }
         let all = match wrong.len() < fewest {
             true => {
@@ -60,20 +87,35 @@ pub fn complementarity(matrix: impl Fn(usize, usize) -> f64, q: &[f64]) -> Compl
             }
         };
         let exchanged = if all { 0 } else { wrong.len() - 1 };
-        for &i in &wrong[exchanged..] {
-            held[i] = !held[i];
+        for &(i, place) in &wrong[exchanged..] {
+            places[i] = place;
         }
     }
     unreachable!("the last exchange returns")
 }
 
-/// z with W z + q = 0 where `held`, else 0.
-fn held_solution(matrix: &impl Fn(usize, usize) -> f64, q: &[f64], held: &[bool]) -> Vec<f64> {
-    let rows: Vec<usize> = (0..q.len()).filter(|&i| held[i]).collect();
-    let mut z = vec![0.0; q.len()];
+/// The place of an unknown for z = 0.
+fn first_place(q: f64, [lower, upper]: [f64; 2]) -> Place {
+    match upper > 0.0 && (q < 0.0 || lower < 0.0) {
+        true => Place::Between,
+        false => Place::Lower,
+    }
+}
+
+/// z with W z + q = 0 between the bounds.
+fn solution(matrix: &impl Fn(usize, usize) -> f64, q: &[f64], bounds: &[[f64; 2]], places: &[Place]) -> Vec<f64> {
+    let rows: Vec<usize> = (0..q.len()).filter(|&i| places[i] == Place::Between).collect();
+    let fixed = places.iter().zip(bounds).map(|(place, [lower, upper])| match place {
+        Place::Lower => *lower,
+        Place::Between => 0.0,
+        Place::Upper => *upper,
+    });
+    let mut z: Vec<f64> = fixed.collect();
     // Without a factor the rows are dependent to rounding; the caller's diagonal prevents that.
     if let Some(factor) = DenseCholesky::new(rows.len(), |i, j| matrix(rows[i], rows[j])) {
-        let mut x: Vec<f64> = rows.iter().map(|&row| -q[row]).collect();
+        let at_bounds: Vec<usize> = (0..q.len()).filter(|&j| z[j] != 0.0).collect();
+        let rest = |&row: &usize| -q[row] - at_bounds.iter().map(|&j| matrix(row, j) * z[j]).sum::<f64>();
+        let mut x: Vec<f64> = rows.iter().map(rest).collect();
         factor.solve(&mut x);
         rows.iter().zip(x).for_each(|(&row, x)| z[row] = x);
     }

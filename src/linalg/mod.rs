@@ -12,7 +12,7 @@ mod minimal_residual;
 mod unilateral;
 
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
-pub use complementarity::{Complementarity, DenseCholesky, complementarity};
+pub use complementarity::{Complementarity, DenseCholesky, PUSHING, Place, complementarity};
 pub use conjugate_gradient::{
     CgEnd, CgReport, LinearOperator, conjugate_gradient, conjugate_gradient_with_test, stabilised_biconjugate_gradient,
 };
@@ -21,7 +21,7 @@ pub use eigenvalues::{Solve, eigenvalues, inverse_one_norm, largest_magnitude, s
 pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 pub use minimal_residual::minimal_residual;
-pub use unilateral::{HeldRows, Row, RowSearch, UnilateralRows};
+pub use unilateral::{Friction, HeldRows, Row, RowSearch, UnilateralRows};
 
 /// Euclidean norm, summed in order, independent of the number of threads.
 pub fn norm(x: &[f64]) -> f64 {

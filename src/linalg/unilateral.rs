@@ -8,10 +8,15 @@
 //! ```
 //!
 //! A search changes the held rows until none pulls and no other is violated ([`RowSearch`]).
+//!
+//! A row with friction has two tangential rows, T v = t, with forces that Coulomb's law bounds: |tau| <= mu lambda, opposite to the slip T v - t
+//! where it is not 0. The first tangent is the direction of the slip without friction. Friction is lagged: the forces lambda of one pass bound tau
+//! in the next, by mu lambda along the first tangent and by what the disc leaves along the second. For given bounds a pass minimises
+//! v S v / 2 - f v + sum of bound |T v - t|, so friction dissipates after any number of passes.
 
 use rayon::prelude::*;
 
-use super::complementarity::{Complementarity, DenseCholesky, complementarity};
+use super::complementarity::{Complementarity, DenseCholesky, PUSHING, Place, complementarity};
 
 /// Relative increase of the diagonal of W: redundant rows share their force.
 const COMPLIANCE: f64 = 1e-11;
@@ -23,6 +28,12 @@ const PATIENCE: u32 = 4;
 const INDEPENDENT: f64 = 1e-8;
 /// Least response of the velocities that a search assumes.
 const LEAST_RESPONSE: f64 = 1e-3;
+/// Largest number of passes with the friction of the pass before.
+const MOST_PASSES: u32 = 20;
+/// Change of the bounds of friction in a pass, relative to the largest, that ends the passes.
+const SAME_BOUNDS: f64 = 1e-8;
+/// The same from a solve of a search to the next, relative to the bound itself.
+const LAG: f64 = 5e-3;
 
 /// A row: sum of the entries times v >= least.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +42,17 @@ pub struct Row {
     pub entries: Vec<(usize, f64)>,
     /// r
     pub least: f64,
+    /// Coulomb friction across the row; `None` without.
+    pub friction: Option<Friction>,
+}
+
+/// Coulomb friction of a row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Friction {
+    /// mu
+    pub coefficient: f64,
+    /// Two orthogonal tangents, each with its entries and t.
+    pub tangents: [(Vec<(usize, f64)>, f64); 2],
 }
 
 impl Row {
@@ -42,12 +64,30 @@ impl Row {
     fn product(&self, v: &[f64]) -> f64 {
         self.entries.iter().map(|&(at, n)| n * v[at]).sum()
     }
+
+    /// The components of all entries, tangential ones too.
+    pub fn components(&mut self) -> impl Iterator<Item = &mut usize> {
+        let tangents = self.friction.iter_mut().flat_map(|friction| &mut friction.tangents);
+        let entries = self.entries.iter_mut().chain(tangents.flat_map(|(entries, _)| entries));
+        entries.map(|(at, _)| at)
+    }
 }
 
-/// Rows, X and W.
+/// The normal row of a tangential one.
+#[derive(Clone, Copy, Debug)]
+struct Rubbing {
+    normal: usize,
+    coefficient: f64,
+    /// The first tangent of the same row, where this is the second.
+    first: Option<usize>,
+}
+
+/// Rows, X and W. Tangential rows follow all others.
 #[derive(Debug)]
 pub struct UnilateralRows {
     rows: Vec<Row>,
+    /// Of the tangential rows.
+    rubbing: Vec<Rubbing>,
     columns: Vec<Vec<f64>>,
     matrix: Vec<f64>,
     /// Components of v.
@@ -65,8 +105,23 @@ impl UnilateralRows {
         };
         let columns: Vec<Vec<f64>> = rows.par_iter().map(column).collect();
         let pairs = rows.into_iter().zip(columns);
-        let (rows, columns): (Vec<Row>, Vec<Vec<f64>>) =
+        let (mut rows, mut columns): (Vec<Row>, Vec<Vec<f64>>) =
             pairs.filter(|(row, column)| row.product(column) > 0.0).unzip();
+        let frictions = rows.iter_mut().enumerate().filter_map(|(normal, row)| Some((normal, row.friction.take()?)));
+        let tangents = frictions.flat_map(|(normal, Friction { coefficient, tangents })| {
+            tangents.map(|(entries, least)| (normal, coefficient, Row { entries, least, friction: None }))
+        });
+        let tangents: Vec<(usize, f64, Row)> = tangents.collect();
+        let tangent_columns: Vec<Vec<f64>> = tangents.par_iter().map(|(.., row)| column(row)).collect();
+        let mut rubbing: Vec<Rubbing> = Vec::new();
+        for ((normal, coefficient, row), column) in tangents.into_iter().zip(tangent_columns) {
+            if row.product(&column) > 0.0 {
+                let first = rubbing.last().filter(|last| last.normal == normal).map(|_| rows.len() - 1);
+                rubbing.push(Rubbing { normal, coefficient, first });
+                rows.push(row);
+                columns.push(column);
+            }
+        }
         let n = rows.len();
         let mut matrix = vec![0.0; n * n];
         for i in 0..n {
@@ -76,7 +131,7 @@ impl UnilateralRows {
             }
             matrix[n * i + i] *= 1.0 + COMPLIANCE;
         }
-        UnilateralRows { rows, columns, matrix, size }
+        UnilateralRows { rows, rubbing, columns, matrix, size }
     }
 
     fn n(&self) -> usize {
@@ -88,10 +143,61 @@ impl UnilateralRows {
         self.rows.iter().map(|row| row.slack(v)).collect()
     }
 
+    /// Number of rows that are not tangential.
+    fn n_normal(&self) -> usize {
+        self.rows.len() - self.rubbing.len()
+    }
+
+    /// The tangential rows with their normal ones.
+    fn tangential(&self) -> impl Iterator<Item = (usize, &Rubbing)> {
+        (self.n_normal()..).zip(&self.rubbing)
+    }
+
     /// lambda for the velocities without it.
     pub fn solve(&self, v: &[f64]) -> Complementarity {
+        self.solve_rubbing(1.0, &self.slacks(v))
+    }
+
+    /// lambda of the matrix theta W for slacks without lambda.
+    fn solve_rubbing(&self, theta: f64, slacks: &[f64]) -> Complementarity {
         let n = self.n();
-        complementarity(|i, j| self.matrix[n * i + j], &self.slacks(v))
+        let matrix = |i: usize, j: usize| theta * self.matrix[n * i + j];
+        let mut bounds = vec![PUSHING; n];
+        bounds[self.n_normal()..].fill([0.0; 2]);
+        let mut found = complementarity(matrix, slacks, &bounds, None);
+        let mut before = vec![0.0; n];
+        for pass in 0..MOST_PASSES {
+            let most = self
+                .friction_bounds(&found.z, |tangent| found.places[tangent] != Place::Between && before[tangent] > 0.0);
+            let changes = most.iter().zip(&before).map(|(now, before)| (now - before).abs());
+            let [change, largest] = [changes.fold(0.0, f64::max), most.iter().copied().fold(0.0, f64::max)];
+            if change <= SAME_BOUNDS * largest {
+                break;
+            }
+            for (tangent, _) in self.tangential() {
+                bounds[tangent] = [-most[tangent], most[tangent]];
+            }
+            let start = (pass > 0).then_some(found.places);
+            let next = complementarity(matrix, slacks, &bounds, start);
+            found = Complementarity { pivots: found.pivots + next.pivots, ..next };
+            before = most;
+        }
+        found
+    }
+
+    /// Bounds of the tangential forces for forces of a pass; 0 for rows that are not tangential. `slips`: whether the force of a tangent is at
+    /// its bound.
+    fn friction_bounds(&self, lambda: &[f64], slips: impl Fn(usize) -> bool) -> Vec<f64> {
+        let mut most = vec![0.0; self.n()];
+        for (tangent, rubbing) in self.tangential() {
+            let disc = rubbing.coefficient * lambda[rubbing.normal].max(0.0);
+            most[tangent] = match rubbing.first {
+                Some(first) if slips(first) => 0.0,
+                Some(first) => (disc * disc - lambda[first] * lambda[first]).max(0.0).sqrt(),
+                None => disc,
+            };
+        }
+        most
     }
 
     /// W lambda.
@@ -100,11 +206,11 @@ impl UnilateralRows {
         rows.map(|row| row.iter().zip(lambda).map(|(w, l)| w * l).sum()).collect()
     }
 
-    /// Independent rows among those with a force: those that cause the largest velocities first.
-    fn basis(&self, lambda: &[f64]) -> Vec<bool> {
+    /// Independent rows among those with a force between its bounds: those that cause the largest velocities first.
+    fn basis(&self, Complementarity { z, places, .. }: &Complementarity) -> Vec<bool> {
         let n = self.n();
-        let velocity = |i: usize| lambda[i] * self.matrix[n * i + i];
-        let mut rows: Vec<usize> = (0..n).filter(|&i| lambda[i] > 0.0).collect();
+        let velocity = |i: usize| z[i].abs() * self.matrix[n * i + i];
+        let mut rows: Vec<usize> = (0..n).filter(|&i| z[i] != 0.0 && places[i] == Place::Between).collect();
         rows.sort_by(|&a, &b| velocity(b).total_cmp(&velocity(a)));
         let mut held = vec![false; n];
         // Rows of the Cholesky factor of what is held.
@@ -212,9 +318,13 @@ impl HeldRows<'_> {
 ///
 /// The rows to hold next are those that push in the complementarity problem of theta W at the last solution: theta is the response of v to lambda
 /// over that without the dependence, from the last solution and that without lambda. So dependent rows are not held together.
+///
+/// Tangential rows that stick are held too. Those that slip have the force of their bound.
 #[derive(Clone, Debug)]
 pub struct RowSearch {
     held: Vec<bool>,
+    /// lambda of the rows that slip, 0 of others; empty where none slips.
+    slipping: Vec<f64>,
     /// G v - r without lambda.
     free: Vec<f64>,
     fewest: usize,
@@ -224,8 +334,10 @@ pub struct RowSearch {
 impl RowSearch {
     /// Begins with the rows that push, for the velocities without lambda and with the forces at hand.
     pub fn new(system: &UnilateralRows, v: &[f64]) -> RowSearch {
+        let first = system.solve(v);
         RowSearch {
-            held: system.basis(&system.solve(v).z),
+            held: system.basis(&first),
+            slipping: slipping(&first),
             free: system.slacks(v),
             fewest: usize::MAX,
             patience: PATIENCE,
@@ -237,14 +349,24 @@ impl RowSearch {
         &self.held
     }
 
-    /// Changes the rows to hold after a solution, and returns how many were wrong, and whether another solve is worth it. Rows that pull are
-    /// wrong where no lambda >= 0 of the held rows has the same effect. After four solutions without fewer wrong rows the search ends.
+    /// G^T lambda of the rows that slip, part of f in the next solve; `None` where none slips.
+    pub fn slipping_forces(&self, system: &UnilateralRows) -> Option<Vec<f64>> {
+        (!self.slipping.is_empty()).then(|| system.forces(&self.slipping))
+    }
+
+    /// Changes the rows to hold after a solution with forces `lambda` of the held rows, and returns how many were wrong, and whether another solve
+    /// is worth it. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After four solutions without fewer wrong
+    /// rows the search ends.
     pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64]) -> (usize, bool) {
         let n = system.n();
+        let mut lambda = lambda.to_vec();
+        lambda.iter_mut().zip(&self.slipping).for_each(|(lambda, slipping)| *lambda += slipping);
+        let lambda = &lambda[..];
         let tolerance = TOLERANCE * v.iter().fold(0.0, |most, v| f64::max(most, v.abs()));
         let slacks = system.slacks(v);
         let pulls = |i: usize| lambda[i] * system.matrix[n * i + i] < -tolerance;
-        let let_go = match (0..n).any(|i| self.held[i] && pulls(i)) {
+        let n_normal = system.n_normal();
+        let let_go = match (0..n_normal).any(|i| self.held[i] && pulls(i)) {
             true => self.not_pushing(system, lambda, tolerance),
             false => vec![false; n],
         };
@@ -252,7 +374,18 @@ impl RowSearch {
             true => let_go[i] && pulls(i),
             false => slacks[i] < -tolerance,
         };
-        let wrong = (0..n).filter(wrong).count();
+        let most = system.friction_bounds(lambda, |tangent| !self.held[tangent]);
+        let rubs_wrong = |&i: &usize| {
+            let velocity = |force: f64| force * system.matrix[n * i + i];
+            let beyond = lambda[i].abs() - most[i];
+            let slips_on = slacks[i].abs() > tolerance;
+            let allowed = f64::max(velocity(LAG * most[i]), tolerance);
+            match self.held[i] {
+                true => velocity(beyond) > allowed,
+                false => slips_on && (velocity(beyond).abs() > allowed || lambda[i] * slacks[i] > 0.0),
+            }
+        };
+        let wrong = (0..n_normal).filter(wrong).count() + (n_normal..n).filter(rubs_wrong).count();
         if wrong == 0 {
             return (0, false);
         }
@@ -268,10 +401,10 @@ impl RowSearch {
         let theta = (work / all).clamp(LEAST_RESPONSE, 1.0);
         let q = slacks.iter().zip(&dry).map(|(slack, w)| slack - theta * w);
         let q: Vec<f64> = q.collect();
-        let next = complementarity(|i, j| theta * system.matrix[n * i + j], &q);
-        let next = system.basis(&next.z);
-        let changed = next != self.held;
-        self.held = next;
+        let found = system.solve_rubbing(theta, &q);
+        let next = (system.basis(&found), slipping(&found));
+        let changed = next.0 != self.held || next.1 != self.slipping;
+        (self.held, self.slipping) = next;
         (wrong, changed && self.patience > 0)
     }
 
@@ -284,7 +417,9 @@ impl RowSearch {
         let wanted = system.products(lambda);
         let q: Vec<f64> = rows.iter().map(|&row| -wanted[row]).collect();
         let mut pushing = vec![0.0; n];
-        let found = complementarity(entry, &q);
+        let both_ways = [f64::NEG_INFINITY, f64::INFINITY];
+        let bounds = rows.iter().map(|&row| if row < system.n_normal() { PUSHING } else { both_ways });
+        let found = complementarity(entry, &q, &bounds.collect::<Vec<_>>(), None);
         rows.iter().zip(found.z).for_each(|(&row, z)| pushing[row] = z);
         let reached = system.products(&pushing);
         let off = rows.iter().map(|&row| (wanted[row] - reached[row]).abs());
@@ -292,5 +427,15 @@ impl RowSearch {
             true => pushing.iter().map(|z| *z == 0.0).collect(),
             false => vec![false; n],
         }
+    }
+}
+
+/// Forces of the rows at bounds other than 0; empty where there are none.
+fn slipping(found: &Complementarity) -> Vec<f64> {
+    let forces = found.z.iter().zip(&found.places);
+    let forces: Vec<f64> = forces.map(|(z, place)| if *place == Place::Between { 0.0 } else { *z }).collect();
+    match forces.iter().any(|force| *force != 0.0) {
+        true => forces,
+        false => Vec::new(),
     }
 }

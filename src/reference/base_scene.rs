@@ -96,6 +96,9 @@ impl BaseScene {
             model: ElasticModel::Corotational,
             mass_damping: beam.mass_damping,
             stiffness_damping: beam.stiffness_damping,
+            friction: 0.0,
+            contact: true,
+            no_contact_with: Vec::new(),
             pins: vec![Pin {
                 region: Shape::Box { min: low.with_z(high.z), max: high },
                 components: [true; 3],

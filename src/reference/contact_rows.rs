@@ -8,6 +8,9 @@
 //! In liquid F has J^T p, which depends on v. The rows to hold are first those of this problem at the pressure without rows. Then each solve
 //! for pressures and velocities has the held rows as equations, until none pulls and no other is violated.
 //!
+//! Rows with friction have tangential rows (linalg/unilateral.rs): t . (v_a - v_b) = 0 while they stick, across the row along two tangents, the first
+//! along v_a - v_b without rows. Those that slip have the force mu lambda against the slip.
+//!
 //! The rows hold at the nearest points of the start. Where bodies still meet in the motion by dt v, the rows of these meetings join, and it is solved
 //! again, at most four times.
 //!
@@ -19,13 +22,13 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::coupled_system::CoupledSystem;
-use super::solid_contacts::Contacts;
+use super::solid_contacts::{Contacts, friction};
 use super::solid_system::SolidSystem;
 use super::solve_coupled::{CoupledSolution, Together};
 use super::solve_solid::SolidSolver;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::{ContactPair, contact_hits, contact_pairs};
+use crate::geometry::{ContactPair, MayTouch, contact_hits, contact_pairs};
 use crate::linalg::{Row, RowSearch, UnilateralRows};
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport};
@@ -80,10 +83,11 @@ impl Touching<'_> {
         let (nodes, _) = velocity.as_chunks::<3>();
         let speeds = nodes.iter().map(|v| DVec3::from(*v).length());
         let reach = (REACH * self.dt * speeds.fold(0.0, f64::max)).max(LEAST_REACH * self.dx);
-        let mut rows = self.contacts.rows(reach);
+        let mut rows = self.contacts.rows(reach, velocity);
         let triangles = &self.solids.triangles;
-        let pairs = contact_pairs(self.positions, triangles, &self.bodies(), reach);
-        rows.extend(pairs.iter().filter_map(|pair| self.row(pair)));
+        let may_touch: MayTouch = &|one, other| self.solids.may_touch(one, other);
+        let pairs = contact_pairs(self.positions, triangles, (&self.bodies(), may_touch), reach);
+        rows.extend(pairs.iter().filter_map(|pair| self.row(pair, nodes)));
         rows
     }
 
@@ -93,8 +97,9 @@ impl Touching<'_> {
         let ways: Vec<DVec3> = nodes.iter().map(|v| self.dt * DVec3::from(*v)).collect();
         let triangles = &self.solids.triangles;
         let depth = DEPTH * self.dx;
-        let pairs = contact_hits(self.positions, &ways, triangles, &self.bodies(), depth);
-        pairs.iter().filter_map(|pair| self.row(pair)).collect()
+        let may_touch: MayTouch = &|one, other| self.solids.may_touch(one, other);
+        let pairs = contact_hits(self.positions, &ways, triangles, (&self.bodies(), may_touch), depth);
+        pairs.iter().filter_map(|pair| self.row(pair, nodes)).collect()
     }
 
     fn bodies(&self) -> Vec<Range<usize>> {
@@ -102,18 +107,29 @@ impl Touching<'_> {
         bodies.map(|body| body.triangles.clone()).collect()
     }
 
-    /// The row of a pair; `None` where all its nodes are prescribed.
-    fn row(&self, pair: &ContactPair) -> Option<Row> {
+    /// The row of a pair; `None` where all its nodes are prescribed. `velocity`: of all nodes, m/s.
+    fn row(&self, pair: &ContactPair, velocity: &[[f64; 3]]) -> Option<Row> {
         let prescribed = |node: u32| self.solids.prescribed[node as usize] == [true; 3];
         if pair.points.iter().all(|&(node, _)| prescribed(node)) {
             return None;
         }
+        let along = |direction: DVec3| {
+            let points = pair.points.iter();
+            let entries = points.flat_map(|&(node, weight)| {
+                let n = (weight * direction).to_array().into_iter().enumerate();
+                n.map(move |(axis, n)| (3 * node as usize + axis, n))
+            });
+            entries.collect()
+        };
         let points = pair.points.iter();
-        let entries = points.flat_map(|&(node, weight)| {
-            let n = (weight * pair.normal).to_array().into_iter().enumerate();
-            n.map(move |(axis, n)| (3 * node as usize + axis, n))
-        });
-        Some(Row { entries: entries.collect(), least: -pair.gap.max(0.0) / self.dt })
+        let apart: DVec3 = points.clone().map(|&(node, weight)| weight * DVec3::from(velocity[node as usize])).sum();
+        let coefficients = points.map(|&(node, _)| self.solids.body_of_node(node as usize).friction);
+        let coefficient = coefficients.fold(0.0, f64::max);
+        Some(Row {
+            entries: along(pair.normal),
+            least: -pair.gap.max(0.0) / self.dt,
+            friction: friction(coefficient, pair.normal, apart, DVec3::ZERO, along),
+        })
     }
 }
 
@@ -217,7 +233,11 @@ pub(super) fn solve_coupled_in_rows(
                 report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
                 break;
             };
-            let (mut system, solution) = together.solve(solid, Some(&held))?;
+            let mut pushed = solid.clone();
+            if let Some(forces) = search.slipping_forces(&rows) {
+                pushed.push(&forces);
+            }
+            let (mut system, solution) = together.solve(&pushed, Some(&held))?;
             report.solves += 1;
             let v = solution.velocity.as_flattened();
             // G_F S^-1 (F + J^T p - S v) is what the rows lack at this pressure.

@@ -24,7 +24,7 @@ use super::SolidSystem;
 use super::sample::normal;
 use crate::elastic::Solids;
 use crate::geometry::ContactField;
-use crate::linalg::Row;
+use crate::linalg::{Friction, Row};
 use crate::state::ContactReport;
 
 /// Largest number of active-set iterations per sub-step, including the solve for a pressure that matches the final
@@ -40,6 +40,8 @@ const SKIN: f64 = 1e-3;
 const NEAR: f64 = 1e-4;
 /// Index of the obstacle among the surfaces of a node, after three walls.
 const OBSTACLE: usize = 3;
+/// Part of a velocity across a normal that is rounding.
+const NO_SLIP: f64 = 1e-9;
 /// Smallest cosine between an obstacle's normal and the node's free components; below it the obstacle does not
 /// constrain the node.
 const LEAST_SHARE: f64 = 0.1;
@@ -118,6 +120,28 @@ fn square(n: DVec3) -> DMat3 {
     DMat3::from_cols(x, y, z)
 }
 
+/// Friction of a point with a velocity on a surface with another (both m/s); `None` without. `along`: entries of the point's velocity along a
+/// direction.
+pub(super) fn friction(
+    coefficient: f64,
+    normal: DVec3,
+    velocity: DVec3,
+    surface: DVec3,
+    along: impl Fn(DVec3) -> Vec<(usize, f64)>,
+) -> Option<Friction> {
+    if coefficient == 0.0 {
+        return None;
+    }
+    let slip = velocity - surface;
+    let tangential = slip.reject_from_normalized(normal);
+    let first = match tangential.length() > NO_SLIP * slip.length() {
+        true => tangential.normalize(),
+        false => normal.any_orthonormal_vector(),
+    };
+    let tangents = [first, normal.cross(first)].map(|tangent| (along(tangent), surface.dot(tangent)));
+    Some(Friction { coefficient, tangents })
+}
+
 /// A wall or obstacle near a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Surface {
@@ -125,14 +149,17 @@ struct Surface {
     normal: DVec3,
     /// Gap of the node after the next move if the node rests, m.
     gap: f64,
-    /// Velocity of the surface along the normal, m/s.
+    /// Velocity of the surface, m/s, and along the normal.
+    velocity: DVec3,
     rate: f64,
+    /// Coefficient of friction.
+    friction: f64,
     active: bool,
 }
 
 impl Surface {
-    fn at_rest(normal: DVec3, gap: f64) -> Surface {
-        Surface { normal, gap, rate: 0.0, active: false }
+    fn at_rest(normal: DVec3, gap: f64, friction: f64) -> Surface {
+        Surface { normal, gap, velocity: DVec3::ZERO, rate: 0.0, friction, active: false }
     }
 }
 
@@ -192,19 +219,21 @@ impl Contacts {
         dt: f64,
         active: impl Fn(usize, usize, &Surface, &Freedom) -> bool,
     ) -> Contacts {
-        let ContactField { grid, distance, .. } = obstacles;
+        let ContactField { grid, distance, friction, .. } = obstacles;
         let surfaces = (0..solids.rest.len()).map(|node| {
             let x = solids.rest[node] + DVec3::from(displacement[node]);
+            let rubbing = |other: f64| solids.body_of_node(node).friction.max(other);
             let wall = |axis: usize| {
                 let above = grid.size()[axis] - x[axis];
                 let (sign, gap) = if x[axis] <= above { (1.0, x[axis]) } else { (-1.0, above) };
                 let free = !solids.prescribed[node][axis];
-                free.then(|| Surface::at_rest(sign * DVec3::AXES[axis], gap))
+                free.then(|| Surface::at_rest(sign * DVec3::AXES[axis], gap, rubbing(friction.walls)))
             };
             let obstacle = normal(grid, distance, x).map(|normal| {
                 let velocity = obstacles.velocity(x).unwrap_or_default();
                 let rate = velocity.dot(normal);
-                Surface { rate, ..Surface::at_rest(normal, grid.sample_cells(distance, x) - dt * rate) }
+                let gap = grid.sample_cells(distance, x) - dt * rate;
+                Surface { velocity, rate, ..Surface::at_rest(normal, gap, rubbing(obstacles.friction(x))) }
             });
             let mut surfaces = [wall(0), wall(1), wall(2), obstacle];
             let mut freedom = Freedom::of(solids.prescribed[node]);
@@ -222,17 +251,21 @@ impl Contacts {
         Contacts { surfaces: surfaces.collect(), prescribed: solids.prescribed.clone(), dt, near: NEAR * grid.dx }
     }
 
-    /// The rows of all surfaces that nodes may reach within a distance, m.
-    pub fn rows(&self, reach: f64) -> Vec<Row> {
-        let nodes = self.surfaces.iter().enumerate();
-        let rows = nodes.flat_map(|(node, surfaces)| {
+    /// The rows of all surfaces that nodes may reach within a distance, m. `velocity`: of the nodes without rows, m/s, three numbers each.
+    pub fn rows(&self, reach: f64, velocity: &[f64]) -> Vec<Row> {
+        let nodes = self.surfaces.iter().zip(velocity.as_chunks::<3>().0).enumerate();
+        let rows = nodes.flat_map(|(node, (surfaces, v))| {
             let prescribed = self.prescribed[node];
             // A row of prescribed components alone cannot be met.
             let free = move |normal: DVec3| (0..3).any(|axis| !prescribed[axis] && normal[axis] != 0.0);
             let near = move |surface: &&Surface| surface.gap <= reach && free(surface.normal);
             surfaces.iter().flatten().filter(near).map(move |surface| {
-                let normal = surface.normal.to_array().into_iter().enumerate();
-                Row { entries: normal.map(|(axis, n)| (3 * node + axis, n)).collect(), least: -surface.gap / self.dt }
+                let along = |n: DVec3| (0..3).map(|axis| (3 * node + axis, n[axis])).collect();
+                Row {
+                    entries: along(surface.normal),
+                    least: -surface.gap / self.dt,
+                    friction: friction(surface.friction, surface.normal, DVec3::from(*v), surface.velocity, along),
+                }
             })
         });
         rows.collect()

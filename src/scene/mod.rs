@@ -95,6 +95,8 @@ pub struct Domain {
     pub open: Sides,
     /// Plane problem, if it is one.
     pub slab: Option<Slab>,
+    /// Coefficient of friction of the walls; default 0.
+    pub friction: f64,
 }
 
 /// A vector at one time. Linear between keyframes, constant before the first and after the last.
@@ -378,6 +380,12 @@ pub struct Solid {
     pub mass_damping: f64,
     /// Rayleigh damping: coefficient of the stiffness, s; default 0.
     pub stiffness_damping: f64,
+    /// Coefficient of friction; default 0.
+    pub friction: f64,
+    /// Whether it touches other solids; default true.
+    pub contact: bool,
+    /// Indices of solids that it does not touch.
+    pub no_contact_with: Vec<usize>,
     /// Constrained or scripted nodes.
     pub pins: Vec<Pin>,
     /// Forces.
@@ -599,6 +607,8 @@ pub struct Obstacle {
     pub inside_out: bool,
     /// Prescribed motion; `None` at rest.
     pub motion: Option<Motion>,
+    /// Coefficient of friction; default 0.
+    pub friction: f64,
 }
 
 /// Prescribed motion of an obstacle: x = pivot + rotation (X - pivot) + translate, X as placed.
@@ -830,7 +840,7 @@ pub struct Solver {
     pub pressure_on_patches: PatchPressure,
     /// Unknowns of a coupled solve on a GPU; default `auto`.
     pub formulation: Formulation,
-    /// Contact of solids with each other; default off.
+    /// Contact of solids with each other; default on with friction, else off.
     pub solid_contact: bool,
 }
 
@@ -1034,6 +1044,11 @@ impl Scene {
     /// Whether an obstacle has keyframes.
     pub fn obstacles_move(&self) -> bool {
         self.obstacles.iter().any(|obstacle| obstacle.motion.is_some())
+    }
+
+    /// Whether a wall, an obstacle or a solid has friction.
+    pub fn has_friction(&self) -> bool {
+        read::has_friction(&self.domain, &self.obstacles, &self.solids)
     }
 
     /// Number of frames, without frame 0, the initial state.

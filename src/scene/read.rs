@@ -36,6 +36,8 @@ const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 pub(crate) const MAX_VELOCITY: f64 = 1e6;
 /// Accelerations along an axis, m/s^2.
 const MAX_GRAVITY: f64 = 1e6;
+/// Limit of coefficients of friction.
+const MAX_FRICTION: f64 = 100.0;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Relative tolerance of cubic cells.
 const CUBIC: f64 = 1e-6;
@@ -51,7 +53,7 @@ const WHOLE_STEPS: f64 = 1e-6;
 const ROOT: Keys = Keys::new(&[
     "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver", "output", "camera", "surface",
 ]);
-const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "gravity_keyframes", "open", "slab"]);
+const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "gravity_keyframes", "open", "slab", "friction"]);
 const GRAVITY_KEYFRAME: Keys = Keys::new(&["t", "gravity"]);
 const TIME: Keys = Keys::new(&["duration", "frames_per_second", "cfl", "max_step", "fixed_step"]);
 const LIQUID: Keys =
@@ -71,7 +73,7 @@ const REGION: Keys = Keys::new(&[
 ]);
 const OBSTACLE_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "mesh"];
 const OBSTACLE: Keys =
-    Keys::new(&["box", "sphere", "cylinder", "mesh", "placement", "inside_out", "keyframes", "pivot"]);
+    Keys::new(&["box", "sphere", "cylinder", "mesh", "placement", "inside_out", "keyframes", "pivot", "friction"]);
 const SOLVER: Keys = Keys {
     valid: &[
         "tolerance",
@@ -138,6 +140,7 @@ impl Scene {
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
         let meshes = contents(&meshes)?;
+        let rubs = has_friction(&domain, &obstacles, &solids);
         let mut scene = Scene {
             name: scene_name(path)?,
             file: path.to_owned(),
@@ -148,7 +151,7 @@ impl Scene {
             removed: document.removed().to_vec(),
             scale,
             overrides: overrides.to_vec(),
-            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty())?,
+            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty(), rubs)?,
             obstacles,
             sources: sources(&root, path, &domain, liquid.as_ref())?,
             sinks: sinks(&root, path, &domain, liquid.as_ref())?,
@@ -387,7 +390,24 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     let gravity = first.map_or(DVec3::new(0.0, -9.81, 0.0), |frame| frame.value);
     let gravity = table.optional("gravity", gravity, |place| bounded(&place, "gravity in m/s^2", MAX_GRAVITY))?;
     let open = table.optional("open", Sides::default(), |place| open_sides(&place, root))?;
-    Ok(Domain { size, cells, gravity, gravity_keyframes, open, slab })
+    Ok(Domain { size, cells, gravity, gravity_keyframes, open, slab, friction: friction(&table)? })
+}
+
+/// Whether a wall, an obstacle or a solid has friction.
+pub(super) fn has_friction(domain: &Domain, obstacles: &[Obstacle], solids: &[Solid]) -> bool {
+    let obstacles = obstacles.iter().any(|obstacle| obstacle.friction > 0.0);
+    domain.friction > 0.0 || obstacles || solids.iter().any(|solid| solid.friction > 0.0)
+}
+
+/// The coefficient of friction of a wall, obstacle or solid.
+pub(super) fn friction(table: &Table) -> Result<f64, Error> {
+    table.optional("friction", 0.0, |place| {
+        place.number_within(
+            "a coefficient of friction",
+            0.0..=MAX_FRICTION,
+            format!("use 0 to {MAX_FRICTION}; steel on steel has 0.6, rubber on concrete 0.8"),
+        )
+    })
 }
 
 /// The axis across a slab of a domain with these cells.
@@ -658,7 +678,7 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
                 false => shape_place.fail("fills the whole domain", "shrink it, or use a container: inside_out = true"),
             });
         }
-        Ok(Obstacle { shape, placement, inside_out, motion })
+        Ok(Obstacle { shape, placement, inside_out, motion, friction: friction(&table)? })
     };
     places.list()?.into_iter().map(obstacle).collect()
 }
@@ -705,14 +725,15 @@ const LEVEL_THETA_FLOOR: f64 = 1e-4;
 /// The thesis's clamp, for its face areas.
 const NODAL_AREA_CLAMP: f64 = 1e-2;
 
-/// `surface` is that of the liquid; `None` without liquid.
-fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<Solver, Error> {
+/// `surface` is that of the liquid; `None` without liquid. `rubs`: whether anything has friction.
+fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, rubs: bool) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
             Some(Surface::Markers) => MARKER_THETA_FLOOR,
             Some(Surface::Level) => LEVEL_THETA_FLOOR,
             Some(Surface::Fixed) | None => Solver::default().theta_floor,
         },
+        solid_contact: rubs && has_solids,
         ..Solver::default()
     };
     let Some(place) = root.get("solver") else {
@@ -749,16 +770,27 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
         )
     })?;
     coupled_solver(&table, surface.is_some() && has_solids, &mut solver)?;
-    solver.solid_contact = table.optional("solid_contact", false, |place| {
+    solver.solid_contact = table.optional("solid_contact", solver.solid_contact, |place| {
         let contact = place.boolean()?;
         place.ensure(!contact || has_solids, "needs elastic solids", "remove it")?;
         place.ensure(
-            !contact || solver.coupling == CouplingScheme::Strong,
-            "needs liquid and solids in one solve",
-            "use coupling \"strong\", or remove it",
+            contact || !rubs || !has_solids,
+            "is off, and friction needs it",
+            "remove it: friction turns it on; or remove each `friction` above 0",
         )?;
         Ok(contact)
     })?;
+    if solver.solid_contact && solver.coupling != CouplingScheme::Strong {
+        let problem = "needs liquid and solids in one solve";
+        let cure = "use coupling \"strong\", or remove it";
+        return Err(match table.get("solid_contact") {
+            Some(place) => place.fail(problem, cure),
+            None => table.required("coupling", "coupling = \"strong\"")?.fail(
+                "has liquid and solids in separate solves, and friction needs one solve",
+                "use coupling \"strong\", or remove each `friction` above 0",
+            ),
+        });
+    }
     solver.area_clamp = table.optional("area_clamp", solver.area_clamp, |place| {
         place.number_within(
             "the smallest aperture of a face",

@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
-use super::read::{MAX_VELOCITY, bounded, density, list, unique_name};
+use super::read::{MAX_VELOCITY, bounded, density, friction, list, unique_name};
 use super::shape::{keyframes, mesh_file, placement, shape, surface_file, unit, vector_keyframes};
 use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
 use crate::error::Error;
@@ -32,6 +32,9 @@ const SOLID: Keys = Keys::new(&[
     "poisson",
     "model",
     "damping",
+    "friction",
+    "contact",
+    "no_contact_with",
     "pin",
     "script",
     "load",
@@ -62,12 +65,36 @@ pub(super) fn solids(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<S
     let Some(places) = root.get("solid") else {
         return Ok(Vec::new());
     };
+    let places = places.list()?;
     let mut solids: Vec<Solid> = Vec::new();
-    for place in &places.list()? {
+    for place in &places {
         let solid = solid(place, file, domain, &solids)?;
         solids.push(solid);
     }
+    for (number, place) in places.into_iter().enumerate() {
+        let others = no_contact_with(&place.table(&SOLID)?, number, &solids)?;
+        solids[number].no_contact_with = others;
+    }
     Ok(solids)
+}
+
+/// The indices of the solids that a solid does not touch.
+fn no_contact_with(table: &Table, number: usize, solids: &[Solid]) -> Result<Vec<usize>, Error> {
+    let entries = entries(table, "no_contact_with")?.into_iter();
+    let index = |entry: Place| {
+        let name = entry.text("the name of another solid")?;
+        let others: Vec<&str> = solids.iter().map(|solid| solid.name.as_str()).collect();
+        match others.iter().position(|other| *other == name) {
+            Some(other) if other == number => {
+                Err(entry.fail("names the solid itself, which never touches itself", "remove it"))
+            }
+            Some(other) => Ok(other),
+            None => {
+                Err(entry.fail(format!("no solid is named \"{name}\""), format!("use one of {}", others.join(", "))))
+            }
+        }
+    };
+    entries.map(index).collect()
 }
 
 fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Result<Solid, Error> {
@@ -113,6 +140,10 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
         })?,
         mass_damping,
         stiffness_damping,
+        friction: friction(&table)?,
+        contact: table.optional("contact", true, |place| place.boolean())?,
+        // Needs the names of all solids.
+        no_contact_with: Vec::new(),
         pins,
         loads: loads.map(|place| load(place, file)).collect::<Result<_, _>>()?,
     })

@@ -16,6 +16,9 @@ const KEYS: &[(&str, &str)] = &[
     // Materials
     ("rho mass_density", "density"),
     ("e youngs_modulus young_modulus youngs elastic_modulus elasticity modulus stiffness", "young"),
+    ("mu friction_coefficient static_friction dynamic_friction", "friction"),
+    ("exclude exclude_contact ignore_collision filtered_pairs collision_filter", "no_contact_with"),
+    ("collide collision collisions", "contact"),
     ("nu poisson_ratio poissons_ratio poissons", "poisson"),
     ("material material_model constitutive_model", "model"),
     // Sections
@@ -83,7 +86,7 @@ const WITHIN: &[(&str, &str, &str)] = &[
 const NOWHERE: &[(&str, &str)] = &[
     ("viscosity kinematic_viscosity dynamic_viscosity mu nu reynolds viscous turbulence", "liquids here are inviscid"),
     ("surface_tension tension contact_angle", "liquids here have no surface tension"),
-    ("friction friction_coefficient", "solids and liquids slide along walls and obstacles without friction"),
+    ("friction", "solids, obstacles and the domain have friction; liquids slide without"),
     ("restitution bounce bounciness", "the rebound of a solid follows from its stiffness and damping"),
     ("temperature heat thermal_conductivity specific_heat", "temperature is not simulated"),
     ("speed_of_sound sound_speed compressibility bulk_modulus", "liquids here are incompressible"),

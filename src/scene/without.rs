@@ -68,6 +68,7 @@ pub(super) fn remove(root: &mut Node, keys: &[&str]) -> Result<Vec<String>, (usi
         add("solver", &["preconditioner"]);
     }
     if no_solids {
+        add("domain", &["friction"]);
         add("output", &["solids"]);
         add("solver", &["solid_contact"]);
     }

@@ -69,7 +69,7 @@ fn with_four(component: usize) -> usize {
 /// X and W of rows, in vectors with four numbers per node.
 pub(super) fn unilateral(rows: Vec<Row>, n_nodes: usize, factor: &Factor) -> UnilateralRows {
     let rows = rows.into_iter().map(|mut row| {
-        row.entries.iter_mut().for_each(|entry| entry.0 = with_four(entry.0));
+        row.components().for_each(|at| *at = with_four(*at));
         row
     });
     UnilateralRows::new(rows.collect(), 4 * n_nodes, |force| factor.solve(&force))

@@ -354,7 +354,11 @@ impl CoupledSolver {
                     report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
                     break;
                 };
-                let held = HeldSolve::new(gpu, held, &start, &rhs, &at.solids.rhs);
+                let mut pushed = rhs.clone();
+                if let Some(forces) = search.slipping_forces(&rows) {
+                    pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
+                }
+                let held = HeldSolve::new(gpu, held, &start, &pushed, &at.solids.rhs);
                 schur.hold(gpu, inverse, &held);
                 let recorder = Recorder::timed(gpu);
                 let (next, mut stages) = self.solve_form(gpu, recorder, &form, true, Some(&held))?;

@@ -212,7 +212,7 @@ impl Taken {
 #[test]
 fn effects_that_are_taken_away_leave_nothing() {
     let Some(_) = gpu() else { return };
-    let cases: [(&[&str], &[&str], &[&str]); 10] = [
+    let cases: [(&[&str], &[&str], &[&str]); 11] = [
         (
             &[POOL, "liquid.volume_control=false"],
             &["liquid.volume_control=true", OPEN, SOURCE, SINK, BALL, HEIGHT],
@@ -259,6 +259,7 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["pushing_obstacles"],
         ),
         (&[RAFT, NODE], &["solver.solid_contact=true"], &["solid_contact"]),
+        (&[RAFT, NODE, "solver.solid_contact=true"], &["solid[0].friction=0.3"], &["friction"]),
         (
             &[POOL, RAFT, "solver.pressure_on_patches=cell"],
             &["solver.pressure_on_patches=hydrostatic"],

@@ -60,7 +60,7 @@ fn cuboid(min: [f64; 3], max: [f64; 3]) -> Shape {
 }
 
 fn obstacle(shape: Shape) -> Obstacle {
-    Obstacle { shape, placement: Placement::default(), inside_out: false, motion: None }
+    Obstacle { shape, placement: Placement::default(), inside_out: false, motion: None, friction: 0.0 }
 }
 
 fn all_open(grid: &Grid) -> CutCells {
@@ -452,7 +452,7 @@ fn obstacle_distance_equals_brute_force() {
         ];
         for (shape, surface, centre, chord_error) in shapes {
             let surface = surface.placed(&placement, centre);
-            scene.obstacles = vec![Obstacle { shape: shape.clone(), placement, inside_out: number == 3, motion: None }];
+            scene.obstacles = vec![Obstacle { placement, inside_out: number == 3, ..obstacle(shape.clone()) }];
             let cut_cells = geometry::cut_cells(&scene, &grid).unwrap();
             // A sample of cells, as the tessellations are fine.
             for cell in (0..grid.n_cells()).step_by(if chord_error > 0.0 { 61 } else { 1 }) {
@@ -497,7 +497,7 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
     let mut scene = empty_scene([16, 16, 16]);
     let grid = scene.grid();
     let mut distance = |shape: &Shape, placement: Placement, inside_out: bool| {
-        scene.obstacles = vec![Obstacle { shape: shape.clone(), placement, inside_out, motion: None }];
+        scene.obstacles = vec![Obstacle { placement, inside_out, ..obstacle(shape.clone()) }];
         geometry::cut_cells(&scene, &grid).unwrap().solid_distance
     };
     for (bodies, beyond) in
@@ -1041,6 +1041,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
         placement: Placement { rotate: turn, scale: 0.5, ..Placement::default() },
         inside_out,
         motion: None,
+        friction: 0.0,
     };
     let block = |thickness: f64| {
         let half = 0.5 * DVec3::new(0.5, thickness, 0.25);
@@ -1063,6 +1064,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
         placement: Placement { translate: DVec3::new(0.0, 0.5 * 0.0375 - 0.5, 0.0), ..Placement::default() },
         inside_out: false,
         motion: None,
+        friction: 0.0,
     };
     // 16 cells to the metre, half as large: 0.0375 m are 0.3 cells, 0.25 m are 2, more than any direction needs.
     let mut scene = crate::reference_physics::scene([16; 3], &crate::reference_physics::pool(0.3));
@@ -1094,7 +1096,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
     // A wall along the axes holds from one cell on; turned by an angle a about one of them, from cos a + sin a on.
     let plate = |cells: f64, degrees: f64, shape: &dyn Fn(f64) -> Shape, motion: Option<Motion>| {
         let placement = Placement { rotate: DMat3::from_rotation_z(degrees.to_radians()), ..Placement::default() };
-        Obstacle { shape: shape(cells / 16.0), placement, inside_out: false, motion }
+        Obstacle { motion, placement, ..obstacle(shape(cells / 16.0), false) }
     };
     let tipping = |degrees: f64, start: f64| {
         let frame = |time: f64, degrees: f64| Keyframe {
@@ -1167,6 +1169,7 @@ fn tips_and_edges_are_no_thin_walls() {
             placement: Placement::default(),
             inside_out: false,
             motion: None,
+            friction: 0.0,
         }];
         geometry::thin_obstacles(&scene, &scene.grid()).unwrap()
     };

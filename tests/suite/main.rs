@@ -26,6 +26,7 @@ mod edits;
 mod elastic;
 mod export;
 mod free_fall;
+mod friction;
 mod fuzz;
 mod geometry;
 mod gpu;

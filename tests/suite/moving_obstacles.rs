@@ -16,7 +16,7 @@ use crate::common::Random;
 use crate::reference_physics::{GRAVITY, pool, scene};
 
 fn still(shape: Shape) -> Obstacle {
-    Obstacle { shape, placement: Placement::default(), inside_out: false, motion: None }
+    Obstacle { shape, placement: Placement::default(), inside_out: false, motion: None, friction: 0.0 }
 }
 
 /// At rest at t = 0, and where the second keyframe puts it at t = 1.

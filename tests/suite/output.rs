@@ -451,6 +451,7 @@ fn scene() -> Scene {
             gravity_keyframes: Vec::new(),
             open: Sides::default(),
             slab: None,
+            friction: 0.0,
         },
         time: scene::Time { duration: 2.0, frames_per_second: 24.0, cfl: 3.0, fixed_step: None, max_step: None },
         liquid: Some(scene::Liquid {

@@ -205,7 +205,7 @@ const REFUSED: &[Case] = &[
     ("density = 800.0", "rho = 800.0", 12, "liquid.rho", &["did you mean `density`?"]),
     ("inside_out = true", "position = [1, 0, 0]", 30, "obstacle[1].position", &["write placement = { at = [x, y, z] }", "the keys here are"]),
     ("inside_out = true", "units = \"mm\"", 30, "obstacle[1].units", &["beside the file of the mesh: { file = .., units = \"mm\" }"]),
-    ("inside_out = true", "friction = 0.1", 30, "obstacle[1].friction", &["without friction"]),
+    ("inside_out = true", "friction = -0.1", 30, "obstacle[1].friction", &["use 0 to 100"]),
     ("file = \"body.stl\"", "path = \"body.stl\"", 29, "obstacle[1].mesh.path", &["did you mean `file`?"]),
     ("file = \"body.stl\"", "file = \"body.stl\", unit = \"mm\"", 29, "obstacle[1].mesh.unit", &["did you mean `units`?"]),
     ("file = \"body.stl\"", "file = \"body.stl\", units = \"km\"", 29, "obstacle[1].mesh.units", &["the text \"km\"", "one of \"m\", \"cm\", \"mm\", \"in\""]),

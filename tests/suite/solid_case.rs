@@ -88,6 +88,9 @@ pub(crate) fn solids(parts: &[(TetMesh, Material)]) -> Solids {
             model: material.model,
             mass_damping: single(material.damping[0]),
             stiffness_damping: single(material.damping[1]),
+            friction: 0.0,
+            contact: true,
+            no_contact_with: Vec::new(),
         });
     }
     solids.mass.iter_mut().for_each(|mass| *mass = single(*mass));

@@ -312,6 +312,7 @@ fn contributions_add_and_overlaps_are_told() {
         placement: Placement::default(),
         inside_out: false,
         motion: None,
+        friction: 0.0,
     };
     scene.obstacles = vec![floor(1.07)];
     let solids = solids_of(&scene);

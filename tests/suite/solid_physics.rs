@@ -277,6 +277,7 @@ fn bodies_slide_down_a_slope() {
             placement: Placement { translate: foot - 8.0 * normal, rotate: turn, ..Placement::default() },
             inside_out: false,
             motion: None,
+            friction: 0.0,
         }];
         let mut reference = start(&scene);
         let solids = solids_of(&scene);
@@ -342,6 +343,7 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
         placement: Placement::default(),
         inside_out: false,
         motion: None,
+        friction: 0.0,
     };
     let inside = |y: f64| {
         let mut solid = block([0.4; 3], [2, 2, 2]);
@@ -377,6 +379,7 @@ fn the_search_for_contacts_comes_to_its_end() {
         placement: Placement::default(),
         inside_out: false,
         motion: None,
+        friction: 0.0,
     };
     scene.obstacles = vec![post(0.0, 0.41), post(0.59, 1.0)];
     let mut reference = start(&scene);
@@ -429,6 +432,7 @@ fn nodes_held_in_an_obstacle_stop_no_search() {
         placement: Placement::default(),
         inside_out: false,
         motion: None,
+        friction: 0.0,
     };
     scene.obstacles = vec![stone([1.0, 1.5, 1.5], [1.65, 2.5, 2.5]), stone([2.3, 1.0, 1.5], [2.7, 1.895, 2.5])];
     let mut reference = start(&scene);

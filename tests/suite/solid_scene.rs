@@ -40,6 +40,9 @@ pub(crate) fn body(mesh: SolidMesh) -> Solid {
         model: ElasticModel::Corotational,
         mass_damping: 0.0,
         stiffness_damping: 0.0,
+        friction: 0.0,
+        contact: true,
+        no_contact_with: Vec::new(),
         pins: Vec::new(),
         loads: Vec::new(),
     }

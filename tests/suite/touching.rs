@@ -43,7 +43,7 @@ fn run(solids: Vec<Solid>, gravity: f64, dt: f64, steps: usize) -> Vec<Sample> {
         let positions: Vec<DVec3> = (0..solids.rest.len()).map(x).collect();
         let ranges: Vec<_> = bodies.clone().map(|body| body.triangles.clone()).collect();
         // Edges are told apart from near only.
-        let pairs = |reach| contact_pairs(&positions, &solids.triangles, &ranges, reach);
+        let pairs = |reach| contact_pairs(&positions, &solids.triangles, (&ranges, &|_, _| true), reach);
         let of_node = |pair: &ContactPair| pair.points.iter().any(|point| point.1.abs() == 1.0);
         let nodes = pairs(0.1).into_iter().filter(of_node);
         Sample {
@@ -211,7 +211,7 @@ fn motions_through_surfaces_are_found() {
         let positions = [moving, &base].concat();
         let triangles = [faces(0, moving), faces(4, &base)].concat();
         let ways: Vec<DVec3> = (0..8).map(|node| if node < 4 { way } else { DVec3::ZERO }).collect();
-        contact_hits(&positions, &ways, &triangles, &[0..4, 4..8], 1e-9)
+        contact_hits(&positions, &ways, &triangles, (&[0..4, 4..8], &|_, _| true), 1e-9)
     };
     let down = hits(&corner, DVec3::new(0.0, -0.3, 0.0));
     assert_eq!(down.len(), 1, "{down:?}");

@@ -63,6 +63,11 @@ effects! {
         scene.obstacles.iter_mut().for_each(|obstacle| obstacle.motion = None);
     };
     solid_contact: |scene| scene.solver.solid_contact = false;
+    friction: |scene| {
+        scene.domain.friction = 0.0;
+        scene.obstacles.iter_mut().for_each(|obstacle| obstacle.friction = 0.0);
+        change_solids(scene, |solid| solid.friction = 0.0);
+    };
     patch_correction: |scene| scene.solver.pressure_on_patches = PatchPressure::Cell;
     probes: |scene| scene.probes.clear();
 }
