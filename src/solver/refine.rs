@@ -102,10 +102,11 @@ impl Latest {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn push(&self, solved: &Outcome) {
+    /// Adds a solve, with the refinement steps that were recorded for it where the first recording did not suffice.
+    fn push(&self, solved: &Outcome, recorded: Option<usize>) {
         let mut list = self.list();
         list.truncate(Self::N - 1);
-        list.push_front((solved.iterations as usize, solved.refinements as usize));
+        list.push_front((solved.iterations as usize, recorded.unwrap_or(solved.refinements as usize)));
     }
 
     /// Pace that the latest solves would have needed; that of the first one without any.
@@ -438,11 +439,15 @@ impl<S: System> OuterLoop<S> {
         });
         if self.on_host {
             let outcomes = self.solve_on_host(gpu, recorder, case, aim, &mut times)?;
+            self.latest.push(&outcomes[0], None);
             return Ok((outcomes, times));
         }
+        let steps = self.pace(case).steps;
+        let mut recordings = 0;
         loop {
+            recordings += 1;
             if monolithic {
-                for _ in 0..self.pace(case).steps {
+                for _ in 0..steps {
                     recorder.stage(Stage::Solve.name(), |pass| {
                         self.record_evaluation(pass);
                         self.record_begin(pass, case);
@@ -467,7 +472,9 @@ impl<S: System> OuterLoop<S> {
                     recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
                     recorder.submit();
                 }
-                return Ok((self.verified(gpu, case, status, reading)?, times));
+                let outcomes = self.verified(gpu, case, status, reading)?;
+                self.latest.push(&outcomes[0], (monolithic && recordings > 1).then_some(recordings * steps));
+                return Ok((outcomes, times));
             }
             recorder = match form {
                 Form::Monolithic => Recorder::timed(gpu),
@@ -670,9 +677,7 @@ impl<S: System> OuterLoop<S> {
                 verified: true,
             }
         };
-        let outcomes: Vec<Outcome> = (0..self.n_blocks).map(outcome).collect();
-        self.latest.push(&outcomes[0]);
-        outcomes
+        (0..self.n_blocks).map(outcome).collect()
     }
 
     /// The outer loop on the host: corrections on the device, unknowns and residuals in f64 here.
