@@ -148,7 +148,7 @@ impl ContactField {
     pub fn friction(&self, x: DVec3) -> f64 {
         let cell = self.cell(x);
         match self.moving_near(cell) {
-            Some(number) => self.bodies[number].friction,
+            Some(number) => self.bodies.get(number).map_or(0.0, |body| body.friction),
             None => self.friction.at_rest.get(cell).copied().unwrap_or(0.0),
         }
     }
