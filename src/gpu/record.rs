@@ -61,6 +61,7 @@ impl Timer {
     }
 }
 
+/// Every part of a recording.
 const ENCODER: wgpu::CommandEncoderDescriptor = wgpu::CommandEncoderDescriptor { label: Some("cutwater") };
 
 impl Gpu {
@@ -112,7 +113,7 @@ impl Recorder {
     }
 
     /// Submits the commands recorded so far. Later uploads do not reach them.
-    pub fn flush(&mut self) {
+    fn flush(&mut self) {
         if let Some((open, encoder)) = self.gpu.open().zip(self.encoder.as_mut()) {
             let next = open.device.create_command_encoder(&ENCODER);
             open.queue.submit([std::mem::replace(encoder, next).finish()]);
