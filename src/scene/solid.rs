@@ -83,14 +83,19 @@ fn no_contact_with(table: &Table, number: usize, solids: &[Solid]) -> Result<Vec
     let entries = entries(table, "no_contact_with")?.into_iter();
     let index = |entry: Place| {
         let name = entry.text("the name of another solid")?;
-        let others: Vec<&str> = solids.iter().map(|solid| solid.name.as_str()).collect();
-        match others.iter().position(|other| *other == name) {
+        match solids.iter().position(|other| other.name == name) {
             Some(other) if other == number => {
                 Err(entry.fail("names the solid itself, which never touches itself", "remove it"))
             }
             Some(other) => Ok(other),
             None => {
-                Err(entry.fail(format!("no solid is named \"{name}\""), format!("use one of {}", others.join(", "))))
+                let others = solids.iter().enumerate().filter(|(other, _)| *other != number);
+                let others: Vec<&str> = others.map(|(_, other)| other.name.as_str()).collect();
+                let cure = match others.is_empty() {
+                    true => "remove it: the scene has no other solid".to_owned(),
+                    false => format!("use one of {}", others.join(", ")),
+                };
+                Err(entry.fail(format!("no solid is named \"{name}\""), cure))
             }
         }
     };

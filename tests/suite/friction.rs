@@ -145,7 +145,7 @@ fn a_thrown_block_stops() {
         let time_step = TimeStep { dt, ..reference.next_time_step() };
         let report = reference.step(time_step).unwrap();
         let now = energy(&report);
-        // The rotations of a sub-step are linearised, here as the block rocks and stops.
+        // Contact without friction lets it rise too, by 2e-7 for such a block: rotations are linearised within a sub-step.
         assert!(now <= before + 1e-6 * first, "sub-step {step}: {now} J after {before} J");
         before = now;
         if step == 100 {
