@@ -394,7 +394,7 @@ fn friction_and_pairs_are_checked() {
     let refused = parse("", "friction = -0.1", "").unwrap_err();
     assert!(refused.contains("rub.toml:14") && refused.contains("solid[0].friction"), "{refused}");
     let refused = parse("", "no_contact_with = [\"thing\"]", "").unwrap_err();
-    let named = ["rub.toml:14", "solid[0].no_contact_with[0]", "thing", "block, other"];
+    let named = ["rub.toml:14", "solid[0].no_contact_with[0]", "thing", "cure: use one of other"];
     assert!(named.iter().all(|part| refused.contains(part)), "{refused}");
     let refused = parse("", "no_contact_with = [\"block\"]", "").unwrap_err();
     assert!(refused.contains("itself"), "{refused}");
