@@ -1,7 +1,7 @@
 //! cutwater: two-way coupling between inviscid free-surface liquids and elastic solids on the GPU, without a window.
 //!
-//! A program of its own loads a scene, does sub-steps and reads what it likes. This one needs no GPU;
-//! `Backend::Gpu(AdapterChoice::Best)` ([`gpu::AdapterChoice`]) is the same on the best adapter:
+//! A program loads a scene, computes sub-steps and reads the state. This one needs no GPU; `Backend::Gpu(AdapterChoice::Best)`
+//! ([`gpu::AdapterChoice`]) is the same on the best adapter:
 //!
 //! ```
 //! use std::path::Path;
@@ -40,15 +40,15 @@
 //! # }
 //! ```
 //!
-//! [`sim::run`] does that for all frames and writes them, with tables and checkpoints, into a folder, as `cutwater run` does. How faces
-//! and cells are numbered: [`grid`].
+//! [`sim::run`] computes all frames and writes them, with tables and checkpoints, into a folder, as `cutwater run` does. [`grid`]
+//! numbers faces and cells.
 //!
 //! # One step
 //!
 //! The rows of [`step::SCHEDULE`] are the stages of a sub-step, in order (Zarifi's thesis, algorithm 4). The GPU stages live in
 //! [`stages`] and [`solver`], their f64 twins under the same names in [`mod@reference`].
 //!
-//! The command line: [`cli`]. What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
+//! Scenes: [`scene`]. Active effects of a scene: [`effects`]. The staggered grid: [`grid`]. The command line: [`cli`].
 #![deny(clippy::print_stdout)]
 
 pub mod cli;

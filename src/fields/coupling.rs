@@ -1,4 +1,4 @@
-//! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
+//! The coupling matrix J between liquid and solids in the units of the pressure's system, and the arrays of a coupled solve.
 
 use rayon::prelude::*;
 

@@ -1,8 +1,8 @@
-//! Ballistic liquid and bodies: a component of active cells without a face at a wall, a solid or a source; a body without
-//! constraints and loads that is out of the liquid and reaches neither wall nor obstacle.
+//! Ballistic liquid and bodies. Liquid: a component of active cells without a face at a wall, a solid or a source.
+//! Bodies: without constraints and loads, out of the liquid, and away from walls and obstacles.
 //!
-//! A sub-step moves what it moves by dt v and then adds dt g to v. What falls freely is then late by dt g / 2 times the
-//! time. What touches nothing moves by dt v + dt^2 g / 2, which is exact.
+//! A sub-step moves everything by dt v and then adds dt g to v. Free fall is then late by dt g / 2 times the time.
+//! Ballistic liquid and bodies move by dt v + dt^2 g / 2, which is exact.
 
 use glam::DVec3;
 

@@ -8,12 +8,13 @@
 //! phi := max(phi, t - d) where t - d > 0,  phi := min(phi, t + d) where t + d < 0
 //! ```
 //!
-//! The second t is the distance of a flat surface normal to an axis from a cell with that occupancy. A surface of curvature
-//! kappa, the Laplacian of phi within [-1, 1], appears kappa / 12 cells deeper twice: to the markers, since the tent has a
-//! variance of 1/6 along each axis, and to the interpolant of a distance, whose zero level encloses the volume. Without that
-//! drops of two cells lose a fifth. At 1/2 instead of 0.47 all thin liquid loses three hundredths of a cell. G is a pass of
-//! (1/4, 1/2, 1/4) along each axis. Liquid is thin where no cell within three in every direction is deeper than 1.5
-//! cells. In thick liquid the noise of the markers is not seen: only a surface that differs by half a cell moves.
+//! The second t is the distance of a flat surface normal to an axis from a cell with that occupancy. kappa is the curvature,
+//! the Laplacian of phi within [-1, 1]. It moves the apparent surface inwards by kappa / 12 cells twice: in F, since the
+//! tent has a variance of 1/6 along each axis, and in the interpolant of a distance, whose zero level encloses the volume.
+//! Without the correction drops of two cells lose a fifth. With 1/2 instead of 0.47 all thin liquid loses three hundredths
+//! of a cell. G is a pass of (1/4, 1/2, 1/4) along each axis. Liquid is thin where no cell within three in every direction
+//! is deeper than 1.5 cells. In thick liquid only a surface that differs by half a cell moves, so the noise of the markers
+//! has no effect.
 
 use rayon::prelude::*;
 

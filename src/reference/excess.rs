@@ -4,11 +4,11 @@
 //! e = G^2 ((F - 1) w) / G^2 w    w = clamp(d, 0, 1) where phi < -1 and F is known, else 0
 //! ```
 //!
-//! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. d is the distance to bodies, cells: beside them fewer
-//! markers count, whose noise would drive waves. |e| is reduced by a dead band of 0.06, several deviations of the noise of
-//! jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt)
-//! for it. Markers that flow together in a splash so expand where they are. Enclosed components have no source, which
-//! their walls would not let out; liquid that leaves soon has a part of it (`level_exchange`).
+//! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. d is the distance to bodies, cells: the noise of fewer
+//! markers beside bodies would excite waves. |e| is reduced by a dead band of 0.06, several deviations of the noise of
+//! jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt) for it. So markers that
+//! crowd in a splash expand. Enclosed components have no such source, since its volume could not leave. Liquid that leaves
+//! soon has a part of it (`level_exchange`).
 
 use super::level_cells::LevelCells;
 use super::level_exchange::controlled_part;

@@ -5,9 +5,9 @@
 //! scene's seed, the number of the sub-step, the cell and the marker's number. Runs therefore repeat and resume bit
 //! for bit.
 //!
-//! With a level the markers of a source are the sites of a lattice that moves with its velocity ([`Lattice`]), one in each cell of
-//! the lattice at a hashed place. A sub-step emits those that come into the octants to fill. So the density of the markers is
-//! exact at any length of the sub-steps: refilling would emit more the more often it is done.
+//! With a level the markers of a source are the sites of a lattice that moves with its velocity ([`Lattice`]). Each cell of the
+//! lattice has one site at a hashed place. A sub-step emits the sites that enter the eighths to fill. So the density of the
+//! markers is exact at any length of the sub-steps, while refilling would emit more in shorter ones.
 //!
 //! Cells with their centre in a body receive none: `advect_markers` would push them out and the cell would refill in
 //! every sub-step. In cells that a body covers less, almost all markers pushed out stay in the cell.

@@ -4,9 +4,10 @@
 //! phi -= m clamp((1/64) sum_a (1 - n_a^2) delta_a^4 phi, +-0.05)    n = grad phi / |grad phi|
 //! ```
 //!
-//! where |phi| < 1.5 and the liquid is thick. The weights 1 - n_a^2 keep the filter along the surface: across it, it
-//! would amplify or damp long waves by 4 % a period. A wave of 20 cells loses 0.1 % in 100 sub-steps. m is the motion in the
-//! sub-step ([`TimeStep::motion`](super::TimeStep::motion)): else short sub-steps would round off a jet.
+//! where |phi| < 1.5 and the liquid is thick. The weights 1 - n_a^2 restrict the filter to directions along the surface:
+//! across it, the filter would amplify or damp long waves by 4 % a period. A wave of 20 cells loses 0.1 % in 100 sub-steps.
+//! m is the motion in the sub-step ([`TimeStep::motion`](super::TimeStep::motion)). Without it short sub-steps would smooth
+//! a jet more.
 
 use rayon::prelude::*;
 

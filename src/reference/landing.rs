@@ -1,4 +1,4 @@
-//! `landing`: markers that come back to the liquid give their momentum to it.
+//! `landing`: markers that land transfer their momentum to the liquid.
 //!
 //! Spray with liquid in the eight cells whose centres surround it lands. It becomes a part of the liquid around it, by the tent
 //! weights w of the faces, in an inelastic impact before the projection:
@@ -7,10 +7,10 @@
 //! u_f := (M_f u_f + m P_f) / (M_f + m W_f)    P_f = sum of w v, W_f = sum of w, m = 1/8
 //! ```
 //!
-//! over the open faces with liquid on a side, to whose weights the sum of w is 1 again: others have an extrapolated velocity. M_f is the
-//! mean of the liquid in the cells on both sides, volumes of a cell. The sum of M_f u_f is the momentum of the liquid (see
-//! [`super::diagnose`]), so that of both together stays, and no face gets a velocity beyond those that meet. The weights are added as
-//! integers, in units of 2^-16, and velocities in cells per sub-step, so that their order has no effect. The target of the
+//! over the open faces with liquid on a side; other faces have an extrapolated velocity. The weights of these faces are scaled to the
+//! sum 1. M_f is the mean of the liquid in the cells on both sides, volumes of a cell. The sum of M_f u_f is the momentum of the liquid
+//! (see [`super::diagnose`]), so momentum is conserved. The new velocity of a face is between those of liquid and markers. The weights
+//! are added as integers, in units of 2^-16, and velocities in cells per sub-step, so that their order has no effect. The target of the
 //! component beside a marker grows by the volume of the marker.
 
 use std::collections::BTreeMap;

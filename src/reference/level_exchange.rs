@@ -6,9 +6,9 @@
 //! dt A max(u_n, 0) clamp(1/2 - phi, 0, 1)        A the open area of a face, phi the level in its cell
 //! ```
 //!
-//! A sink takes the liquid that came into its cells in the sub-step. They are air: their level is at least 1/2, the distance of
-//! their centres from the liquid beside them, so that liquid at their faces stays there. A source that starts fills its cells.
-//! One that also ran in the last sub-step emits dt times its flux. Each volume belongs to the component in its cell.
+//! A sink removes the liquid that entered its cells in the sub-step. These cells are air. Their level is at least 1/2, the
+//! distance of their centres from the liquid beside them, so that liquid at their faces remains. A source that starts fills its
+//! cells. One that also ran in the last sub-step emits dt times its flux. Each volume belongs to the component in its cell.
 
 use super::level_cells::{BAND, filled};
 use super::volume_shift::LARGEST;

@@ -1,17 +1,17 @@
-//! `liquid_components`: connected components of the liquid, and the volume that each of them is to have.
+//! `liquid_components`: connected components of the liquid, and their target volumes.
 //!
 //! Cells with phi < 0 belong to one component where open faces join them. Three layers of air beside them have its label
 //! too, the smaller of two. V_k is the sum over its cells of their open volume times their filled part.
 //!
-//! The target volumes V0 of the components before the sub-step go to those after it by the overlap of their cells, which
-//! move with the liquid. With l(c) the old component at the departure point of cell c and w_c the volume in c,
+//! The target volumes V0 of the components before the sub-step are distributed to those after it by the overlap of their
+//! advected cells. With l(c) the old component at the departure point of cell c and w_c the volume in c,
 //!
 //! ```text
 //! V0_k = sum over c in k of V0_l(c) w_c / W_l(c),    W_l = sum over c with l(c) = l of w_c
 //! ```
 //!
-//! What has no successor, and rounding, is shared among all by volume: the sum of the targets and of the spray, an eighth
-//! of a cell for each marker, is the target of the whole liquid.
+//! The target of a component without a successor, and rounding errors, are shared among all by volume. The targets and
+//! the spray, an eighth of a cell a marker, sum to the target of the whole liquid.
 
 use glam::DVec3;
 use rayon::prelude::*;

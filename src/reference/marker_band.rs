@@ -1,14 +1,14 @@
-//! `marker_band`: keeps markers in a band of three cells below the surface.
+//! `marker_band`: deletes and seeds markers, so that they fill a band of three cells below the surface.
 //!
 //! A marker at x is deleted where phi(x) < -3, unless it is spray or the excess of its cell is above 0.2. Each cell has
-//! eight sites, jittered anew in every sub-step. A site that was below the band and is in it now gets a marker:
+//! eight sites, with another jitter in every sub-step. A site that was below the band and is in it now gets a marker:
 //!
 //! ```text
 //! phi*(x) < -3 <= phi(x)
 //! ```
 //!
-//! with the level phi* after its transport and phi after all changes. Transport keeps a point at its level, so the sites
-//! that pass are those of the liquid that entered the band. Their density is that of the band, without a count of markers.
+//! with the level phi* after its transport and phi after all changes. Transport does not change the level of a point, so
+//! these sites lie in the liquid that entered the band. Their density is that of the band, without a count of markers.
 
 use glam::DVec3;
 use rayon::prelude::*;

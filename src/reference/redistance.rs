@@ -1,7 +1,7 @@
 //! `redistance`: makes the level a distance again, without moving the surface.
 //!
-//! An interface cell has a neighbour of the other sign. Its value stays: redistancing that moves the surface a little in
-//! every sub-step makes small waves grow or shrink (Russo and Smereka 2000 fix this in part).
+//! An interface cell has a neighbour of the other sign. Its value does not change. Redistancing that moves the surface a little in
+//! every sub-step amplifies or damps small waves (Russo and Smereka 2000 fix this in part).
 //!
 //! ```text
 //! (a) |D| = |phi| at interface cells; elsewhere |grad D| = 1, first order (Rouy and Tourin 1992), nine Jacobi passes
@@ -9,13 +9,13 @@
 //! (c) where |f| < 2.5, not at the interface:  f -= 0.4 sign(f) (|grad f| - 1)    Godunov's gradient, one step
 //! ```
 //!
-//! The level goes on into bodies, where D goes around them: beside bodies (b) keeps it, and so does (c) in cells at a body
-//! where |grad f| < 1/2. (c) is the relaxation of Sussman et al. (1994). An interface cell only changes where its gradient m is outside
-//! [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
-//! one-sided slopes of opposite sign, both steeper than 0.1: the edge of a sheet or a collision, where m means nothing.
+//! The level continues into bodies, while paths of D lead around them. So (b) does not change the level beside bodies, nor does (c) in
+//! cells at a body where |grad f| < 1/2. (c) is the relaxation of Sussman et al. (1994). An interface cell changes only if its gradient
+//! m is outside [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
+//! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where m is undefined.
 //!
-//! Cells with their centre in a body have an extended level. They take part in gradients and distances, so that liquid
-//! under an overhang has its depth, but are never at the interface and keep their value.
+//! Cells with their centre in a body have an extended level. Gradients and distances include them, so that liquid under an overhang has
+//! its depth. They are never at the interface, and their value does not change.
 
 use rayon::prelude::*;
 

@@ -1,8 +1,9 @@
-//! `spray`: which markers fly.
+//! `spray`: markers that fly as free bodies.
 //!
 //! A marker with no liquid in the eight cells whose centres surround it is spray. It moves as a free body and has no part in
-//! the level, since the pressure does not reach it. All other markers have the velocity of the grid. A marker that starts to
-//! fly takes its volume, an eighth of a cell, from the target of the component beside it. [`super::landing`] ends flights.
+//! the level, since the pressure does not reach it. All other markers have the velocity of the grid. At the start of its
+//! flight the target of the component beside it shrinks by the volume of the marker, an eighth of a cell. [`super::landing`]
+//! ends flights.
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -5,8 +5,8 @@
 //! phi -= h_k
 //! ```
 //!
-//! in cells and cell volumes. dV_k is the target less the volume, less a dead band of 0.5 % of the target: the measured
-//! volume of a wave changes by that much at constant true volume, and a shift that answers it feeds the wave. Enclosed
+//! in cells and cell volumes. dV_k is the target less the volume, less a dead band of 0.5 % of the target. The measured
+//! volume of a wave changes by that much at constant true volume, and a shift by it would amplify the wave. Enclosed
 //! components have no surface to move.
 
 use rayon::prelude::*;

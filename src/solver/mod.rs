@@ -1,5 +1,5 @@
-//! The pressure solver on the GPU: matrix-free conjugate gradients on the cut-cell, ghost-fluid Laplacian, preconditioned by one
-//! symmetric V-cycle of aggregation multigrid, inside an outer loop that refines on the true residual.
+//! The pressure solver on the GPU: matrix-free conjugate gradients on the cut-cell, ghost-fluid Laplacian. The preconditioner is one symmetric
+//! V-cycle of aggregation multigrid. An outer loop refines on the true residual.
 //!
 //! The unknown is the potential phi = p dt / (rho dx), m/s: B p = E u* of the thesis divided by dx^2 becomes
 //!
@@ -7,24 +7,24 @@
 //!   sum over faces of w_f (phi_c - phi_nb) + dirichlet_c phi_c = b_c = - sum over faces of s_f open_f u*_f       (m/s)
 //! ```
 //!
-//! with w_f the open fraction between two active cells and dirichlet_c the sum of open_f / theta_f over faces towards air.
-//! The matrix is stored in f32 and *is* the system of the step; widening it to f64 is exact.
+//! with w_f the face aperture between two active cells and dirichlet_c the sum of open_f / theta_f over faces towards air. The matrix is
+//! stored in f32 and *is* the system of the sub-step; its conversion to f64 is exact.
 //!
-//! **Storage.** Dense padded arrays of quads, all levels one after another, and a compact list of active quads per level. A list
-//! entry is tagged when its quad is uniform, which spares the weights' loads for nine quads in ten.
+//! **Storage.** Dense padded arrays of quads, all levels one after another, and a compact list of active quads per level. A list entry is
+//! tagged if its quad is uniform: nine in ten quads then load no weights.
 //!
-//! **Multigrid** (design section 5; Ng et al. 2009, Shao et al. 2022, Wang et al. 2026): 2x2x2 aggregates, coarse weights half the sum
-//! of the fine ones, two sweeps of scheduled-relaxation Jacobi before and, mirrored, after; levels of at most `TAIL_QUADS`
-//! quads run in one workgroup.
+//! **Multigrid** (Ng et al. 2009, Shao et al. 2022, Wang et al. 2026). Aggregates have 2x2x2 cells, coarse weights are half the sum of the
+//! fine ones. Two sweeps of scheduled-relaxation Jacobi precede the correction, and the same in reversed order follow it. Levels of at most
+//! `TAIL_QUADS` quads run in one workgroup.
 //!
-//! **Outer loop** (`refine.rs`). Iterative refinement: a refinement step solves for a correction by conjugate gradients, in f32 unless
-//! the precision is `f64`; a residual evaluation in the precision of the unknowns follows. Both are recorded ahead; kernels write the
-//! dispatch sizes of later kernels, so nothing waits for the host. |r|^2 after an update follows from the sums that give alpha, so that a
-//! finished step does not start another V-cycle. Outer loop, acceptance rule and conjugate gradients are the same for every system.
+//! **Outer loop** (`refine.rs`). A refinement step solves for a correction by conjugate gradients, in f32 unless the precision is `f64`. A
+//! residual evaluation in the precision of the unknowns follows. Both are recorded ahead. Kernels write the dispatch sizes of later kernels,
+//! so nothing waits for the host. |r|^2 after an update follows from the sums of alpha, so that a finished step does not start another
+//! V-cycle. Outer loop, acceptance rule and conjugate gradients are the same for every system.
 //!
-//! **Systems.** The unknown is a list of blocks: pressures of cells, velocities of nodes, or both ([`CoupledSolver`]). Both have one residual,
-//! that of the indefinite system (thesis 5.17), and two forms of corrections: the monolithic two-field form, and the Schur-complement form in
-//! the pressures alone, with the wet compliance as a dense matrix from a sparse Cholesky factor on the host.
+//! **Systems.** The unknown is a list of blocks: pressures of cells, velocities of nodes, or both ([`CoupledSolver`]). The residual of both is
+//! that of the indefinite system (thesis 5.17). Their corrections have two forms: the monolithic two-field form, and the Schur-complement form
+//! in the pressures alone. The latter has the wet compliance as a dense matrix from a sparse Cholesky factor on the host.
 //!
 //! Symbols: x correction, r residual, z preconditioned residual, s search direction, q = A s.
 
