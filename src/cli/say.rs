@@ -1,5 +1,5 @@
-//! Lines to standard output and standard error. Unlike the macros of the standard library, a closed pipe (`cutwater run .. | head`) or a
-//! full disk ends no command; unwritten lines are an error at its end.
+//! Lines to standard output and standard error. A closed pipe (`cutwater run .. | head`) or a full disk ends no command, unlike with the
+//! macros of the standard library. Unwritten lines are an error at the end of the command.
 
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};

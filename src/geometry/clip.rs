@@ -1,8 +1,8 @@
 //! Clips closed surfaces by the cells of the grid and computes face apertures from the patches.
 //!
 //! parry's half-space clip cuts each triangle into slabs along z, rows along y and cells along x. The work is proportional to
-//! the cells that it meets. The part in one cell is a [`Patch`]. The divergence theorem gives the apertures along every grid
-//! line (here along x), with n into the solid:
+//! the cells that it meets. The part in one cell is a [`Patch`]. The apertures along every grid line (here along x) follow
+//! from the divergence theorem, with n into the solid:
 //!
 //! ```text
 //! open(i + 1/2) = open(i - 1/2) - sum over the patches of cell i of (a n)_x / dx^2
@@ -13,8 +13,8 @@
 //!
 //! One layer of unbounded ghost cells contains everything beyond the domain. A polygon on a grid plane belongs to the cell on
 //! the liquid side. Vertices within 1e-9 dx of a plane are snapped to it first, so that this rule is exact and neighbouring
-//! triangles agree. Vertices within 1e-4 dx of a wall are snapped to the wall: nodes of solids come to rest that close, and
-//! liquid below a body on the floor must not depend on rounding.
+//! triangles agree. Vertices within 1e-4 dx of a wall are snapped to the wall. Nodes of solids rest that close, and liquid
+//! below a body on the floor must not depend on rounding.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::details::clip_halfspace_polygon;

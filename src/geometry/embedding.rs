@@ -1,7 +1,7 @@
 //! Points embedded in a tetrahedral mesh: each is a fixed affine combination of the corners of one tetrahedron.
 //!
 //! A point x of a tetrahedron with corners x_i is sum w_i x_i, with barycentric coordinates w_i. A point outside the mesh uses the tetrahedron of the
-//! nearest point of its boundary, with coordinates of either sign, and so moves with the deformation gradient there.
+//! nearest point of the boundary, with coordinates of either sign. So it moves with the deformation gradient there.
 
 use std::collections::HashMap;
 

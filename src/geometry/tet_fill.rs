@@ -1,5 +1,5 @@
 //! Fills a closed surface with tetrahedra. parry's `volume_mesh` returns the smoothed elements of a body-centred cubic lattice
-//! that cover the solid; their outer nodes are then moved onto the surface.
+//! that cover the solid. Their outer nodes are then moved onto the surface.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::PointQueryWithLocation;

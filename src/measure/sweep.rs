@@ -1,4 +1,4 @@
-//! Sweeps: a run for every combination of values of some keys of a scene, each in a folder of its own, and a summary of these folders.
+//! Sweeps: a run for every combination of values of some keys of a scene. Each has its own folder, and a table summarises the folders.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};

@@ -1,11 +1,11 @@
 //! Closed triangle meshes within the walls of a box: removal of degenerate triangles and coincident vertices, and smoothing of
 //! the free part at constant volume. Lengths are in cells.
 //!
-//! Degenerate triangles are removed by edge collapses under the link condition (Dey et al. 1999, "Topology preserving edge
-//! contraction") and by edge flips, so that every edge has exactly two triangles. A smoothing iteration is a forward and a
-//! backward step of the umbrella operator. It multiplies a wave of eigenvalue k by 1 - (lambda k)^2, so that no wave grows
-//! (Taubin 1995, "A signal processing approach to fair surface design", with lambda = -mu). Walls are mirrors. An offset of
-//! each component restores its volume.
+//! Edge collapses under the link condition (Dey et al. 1999, "Topology preserving edge contraction") and edge flips remove
+//! degenerate triangles. Every edge then still has exactly two triangles. A smoothing iteration is a forward and a backward
+//! step of the umbrella operator. It multiplies a wave of eigenvalue k by 1 - (lambda k)^2, so no wave grows. Source: Taubin
+//! 1995, "A signal processing approach to fair surface design", with lambda = -mu. Walls are mirrors. An offset of each
+//! component restores its volume.
 
 use std::collections::HashSet;
 

@@ -1,5 +1,5 @@
-//! Frame files in VTK's XML formats with a `.pvd` series per kind: VTP markers, VTI cell fields, VTU solids, VTP obstacles and
-//! VTP liquid surfaces, which are written as PLY too.
+//! Frame files in VTK's XML formats with a `.pvd` series per kind. Markers, obstacles and liquid surfaces are VTP, cell fields
+//! VTI, solids VTU. Liquid surfaces are written as PLY too.
 //!
 //! Data are f32, little endian, compressed by zlib.
 

@@ -1,9 +1,9 @@
 //! `active_cells`: unknowns of the projection, weights of their faces, and enclosed components.
 //!
 //! A cell is active where the liquid distance phi is negative and a face is open. The weight of a face between active
-//! cells is its aperture. On an open face towards a cell with phi_nb >= 0, the ghost fluid method (Gibou et al. 2002;
-//! thesis 4.43) sets p = 0 at the surface. The face adds aperture / theta to the Dirichlet term. On an open side of
-//! the domain p = 0 in the plane of the side, half a cell from the centre: aperture / (1/2).
+//! cells is its aperture. A face is towards air if phi_nb >= 0 in the other cell. There the ghost fluid method (Gibou
+//! et al. 2002; thesis 4.43) sets p = 0 at the surface. The face adds aperture / theta to the Dirichlet term. On an
+//! open side of the domain p = 0 in the plane of the side, half a cell from the centre: aperture / (1/2).
 
 use super::pressure_system::Stencil;
 use crate::geometry::Coupling;

@@ -6,8 +6,8 @@
 //! phi*(x) = a(x) + (phi(x) - a(x + dt u)) / 2     within the range of the taps of a(x), widened by 0.1 cells; else a(x)
 //! ```
 //!
-//! The second pass returns the advected level to its start. Half the difference is the error of a. The method is of
-//! second order, and a plane that moves uniformly stays exact. The widened range lets a crest keep its height.
+//! The second pass returns the advected level to its start. Half the difference is the error of a. The method is of second
+//! order, and a plane that moves uniformly stays exact. The widened range preserves the height of crests.
 //!
 //! Liquid does not enter through open sides. The level beyond them is at least the distance to the side. Sources and sinks
 //! then set the level in their cells ([`fill_sources`](super::fill_sources), [`empty_level_sinks`](super::empty_level_sinks)).

@@ -1,9 +1,8 @@
 //! `advect_velocity`: semi-Lagrangian with a midpoint trace-back (Stam 1999). Each face receives u at the departure
 //! point.
 //!
-//! Faces of full aperture sample blended velocities ([`shown_to_whole`]). Small-aperture faces sample the unblended
-//! ones in proportion to their closed part. A film that a body squeezes out so keeps its speed without transferring
-//! it to the neighbouring faces.
+//! Faces of full aperture sample blended velocities ([`shown_to_whole`]). Small-aperture faces sample the unblended ones in
+//! proportion to their closed part. So a film that a body squeezes out does not transfer its speed to the neighbouring faces.
 //!
 //! Or MacCormack's method (Selle et al. 2008), of second order. The second pass returns the advected velocity a to its start:
 //!
@@ -11,8 +10,8 @@
 //! a(x) = u(x - dt u),    u*(x) = a(x) + (u(x) - a(x + dt u)) / 2    within the range of the taps of a(x), else a(x)
 //! ```
 //!
-//! Extrapolated velocities take part like others: without them a wave of 20 cells loses four times as much. Small-aperture
-//! faces keep the first order.
+//! Extrapolated velocities are included: without them a wave of 20 cells loses four times as much. Small-aperture faces have
+//! the first order.
 
 use glam::DVec3;
 use rayon::prelude::*;

@@ -9,7 +9,7 @@
 //! v* = (0.3 sin 3z, 0.2 cos 4x, 0.1 sin 2y + g dt)
 //! ```
 //!
-//! The liquid distance goes through the beam as it is.
+//! The liquid distance ignores the beam.
 
 use std::sync::Arc;
 

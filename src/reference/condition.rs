@@ -1,6 +1,6 @@
-//! Condition numbers of the matrices of a coupled system: for the 2-norm, the largest eigenvalue by Lanczos's method over the smallest by
-//! inverse iteration; for the 1-norm, which the thesis has, by Hager's estimate. The inverse is that of the condensed form, (B + J S^-1 J^T) p = e + J S^-1 w, by conjugate gradients with multigrid on
-//! B and a factor of S, whichever matrix it is of:
+//! Condition numbers of the matrices of a coupled system. For the 2-norm they are the largest eigenvalue by Lanczos's method over the smallest by
+//! inverse iteration. For the 1-norm, which the thesis has, they are Hager's estimate. The inverse of each matrix is applied through the
+//! Schur-complement form, (B + J S^-1 J^T) p = e + J S^-1 w. It is solved by conjugate gradients with multigrid on B and a factor of S:
 //!
 //! ```text
 //! [B J; J^T -S] [p; v] = [e; w]                                     v = S^-1 (J^T p - w)

@@ -1,14 +1,14 @@
 //! `extrapolate`: velocities beyond the liquid for the next advection, and free slip along obstacles.
 //!
-//! In each layer, a face without a valid velocity receives the mean over its nearest valid neighbours of the same
-//! axis. These are beside it, else across an edge, else across a corner. A layer so extends by one cell along every
-//! diagonal too. A sub-step may cross cfl cells along each axis at once; with neighbours beside the face alone,
-//! diagonal motion reached faces without a velocity. Faces beyond all layers are 0, and so are domain walls except
-//! open sides.
+//! In each layer, a face without a valid velocity receives the mean over its nearest valid neighbours of the same axis.
+//! These are beside it, else across an edge, else across a corner. So a layer extends by one cell along every diagonal
+//! too: a sub-step may cross cfl cells along each axis at once. Faces beyond all layers are 0, and so are domain walls
+//! except open sides.
 //!
 //! With a level, faces in the first layer continue the slope of the liquid. A valid neighbour beside them contributes
-//! u1 + minmod(u1 - u2, u2 - u3) of the valid faces u1, u2, u3 in a row behind it, each difference at most dx / (2 dt). A
-//! constant extension lets a wave of 20 cells lose four times as much; an unlimited slope doubles the energy of a splash.
+//! `u1 + minmod(u1 - u2, u2 - u3)`, each difference at most dx / (2 dt). u1, u2, u3 are valid faces in a row, u1 next to
+//! the face. A constant extension lets a wave of 20 cells lose four times as much; an unlimited slope doubles the energy
+//! of a splash.
 //!
 //! Small-aperture faces contribute blended velocities ([`super::slivers`]) and recover their own afterwards.
 //!

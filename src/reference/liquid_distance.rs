@@ -1,22 +1,22 @@
 //! `liquid_distance`: the union of spheres around the markers (Zhu and Bridson 2005), extended into the obstacles. A level
 //! set is only extended.
 //!
-//! phi = min(2 dx, distance to the nearest marker) - r at cell centres. phi = -dx deep inside: where each of the 27
-//! cells around contains a marker, is outside the domain or has its centre in an obstacle. Values inside obstacles
-//! are undefined, but ghost-fluid faces in cut cells need them. They are recomputed from known neighbours n at offset
-//! o_n across faces of aperture w_n, and from their neighbours across w_nm:
+//! phi = min(2 dx, distance to the nearest marker) - r at cell centres. Deep inside phi = -dx. A cell is deep if each of
+//! the 27 cells around it contains a marker, is outside the domain or has its centre in an obstacle. Values inside
+//! obstacles are undefined, but ghost-fluid faces in cut cells need them. They are recomputed from known neighbours n at
+//! offset o_n across faces of aperture w_n, and from their neighbours across w_nm:
 //!
 //! ```text
 //! phi = sum_n w_n (phi_n - g . o_n) / sum_n w_n    within the range of the phi_n
 //! g = sum_nm w_n w_nm o_nm (phi_m - phi_n) / (1 + sum_nm w_n w_nm)    per axis, over the pairs along it
 //! ```
 //!
-//! A mean without slopes places the surface too high where more is open below a centre than above. Films of a tenth
-//! of a cell then stood up to half a cell above the level, and fell. Levels have smooth slopes: there, the 1 in the
-//! denominator is 0, and the result may leave the range by a cell. The 1 in the denominator is one open pair of
-//! slope 0: a few pairs alone measure the bumps of the spheres, not the surface. The limitation to the range
-//! prevents growth of noise from pass to pass. Two alternatives moved water at rest by up to 76 g dt: a decision by
-//! markers in the cell, and a minimum over neighbours.
+//! A mean without slopes places the surface too high where more is open below a centre than above: films of a tenth of a
+//! cell would be up to half a cell above the level. Levels have smooth slopes: there, the 1 in the denominator is 0, and
+//! the result may leave the range by a cell. The 1 in the denominator is one open pair of slope 0: a few pairs alone
+//! measure the bumps of the spheres, not the surface. The limitation to the range prevents growth of noise from pass to
+//! pass. Two alternatives move water at rest by up to 76 g dt: a decision by markers in the cell, and a minimum over
+//! neighbours.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;

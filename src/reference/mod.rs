@@ -1,7 +1,7 @@
 //! The f64 path on the CPU: a twin of every stage, written from the equations, and the same step as on the GPU.
 //!
-//! Stages are pure functions over host arrays ([`crate::grid`]). Sums run in a fixed order, so a run repeats bit for bit
-//! whatever the number of threads. This room never uses `gpu`, `stages` or `solver`, and they never use it.
+//! Stages are pure functions over host arrays ([`crate::grid`]). Sums have a fixed order, so a run repeats bitwise with
+//! any number of threads. This room never uses `gpu`, `stages` or `solver`, and they never use it.
 
 mod active_cells;
 mod advect_level;

@@ -1,9 +1,9 @@
 //! One symmetric V-cycle of aggregation multigrid: H ~ A^-1, the preconditioner of the pressure solve in f64.
 //!
-//! A coarse cell aggregates 2 x 2 x 2 cells. Its face weight is half the sum of the four fine ones, its Dirichlet
-//! term half the sum of the eight. The half is over-correction: piecewise constant corrections of a smooth error are
-//! too small by about two in three dimensions (Stueben 2001, Shao et al. 2022). Restriction sums over an aggregate,
-//! prolongation injects into it. Two Jacobi sweeps with scheduled weights (Yang and Mittal 2014) precede the
+//! A coarse cell aggregates 2 x 2 x 2 cells. Its face weight is half the sum of the four fine ones, its Dirichlet term
+//! half the sum of the eight. The half is over-correction. In three dimensions, piecewise constant corrections of a
+//! smooth error are about half as large as they should be (Stueben 2001, Shao et al. 2022). Restriction sums over an
+//! aggregate, prolongation injects into it. Two Jacobi sweeps with scheduled weights (Yang and Mittal 2014) precede the
 //! correction. The same sweeps in reversed order follow it, so that the cycle is symmetric, as conjugate gradients
 //! require.
 

@@ -1,4 +1,4 @@
-//! `prepare`: data of the first step beyond initial markers and velocities.
+//! `prepare`: data of the first sub-step in addition to initial markers and velocities.
 
 use glam::DVec3;
 use rayon::prelude::*;

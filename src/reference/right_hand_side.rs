@@ -1,5 +1,5 @@
-//! `right_hand_side`: (E u*)_c = - sum over faces of s_f A_f u*_f (thesis 4.38; E is the negative divergence), with
-//! volume control, and without its mean over enclosed components.
+//! `right_hand_side`: (E u*)_c = - sum over faces of s_f A_f u*_f (thesis 4.38), where E is the negative divergence. It
+//! has volume control, and mean 0 over enclosed components.
 
 use super::active_cells::ActiveCells;
 use super::pressure_system::remove_means;

@@ -1,9 +1,8 @@
-//! `solve`, for solids: the velocities of the nodes of one step, with a stopping criterion on the true residual
-//! (design section 5).
+//! `solve`, for solids: the velocities of the nodes of one sub-step, with a stopping criterion on the true residual.
 //!
-//! Sparse Cholesky up to [`DIRECT_UNKNOWNS`](super::DIRECT_UNKNOWNS) unknowns, above them conjugate gradients with a
-//! Chebyshev polynomial in D^-1 S, where D is the 3x3 block diagonal of S. Iterative refinement repeats either until
-//! the true residual passes.
+//! Up to [`DIRECT_UNKNOWNS`](super::DIRECT_UNKNOWNS) unknowns a sparse Cholesky factor solves, above them conjugate
+//! gradients. Their preconditioner is a Chebyshev polynomial in D^-1 S, where D is the 3x3 block diagonal of S.
+//! Iterative refinement repeats either until the true residual passes.
 
 use std::sync::{Arc, OnceLock};
 

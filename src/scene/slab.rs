@@ -1,7 +1,8 @@
 //! `domain.slab`: a plane problem as a slab of one or two cells between two frictionless walls.
 //!
 //! Its thickness follows from its cells, which `--scale` does not change. `domain.size` across it is the thickness to which the scene and its
-//! probes refer: all lengths across are stretched from there, and so are total forces and flow rates. Nodes of solids slide in the plane.
+//! probes refer. All lengths across, total forces and flow rates are scaled from it to the thickness of the slab. Nodes of solids slide in
+//! the plane.
 
 use glam::DVec3;
 

@@ -1,4 +1,4 @@
-//! `--without KEY`: removes parts of a scene, and what refers to them.
+//! `--without KEY`: removes parts of a scene, and the keys that refer to them.
 //!
 //! Keys are those of the file with `--set` applied, all looked up before anything is removed. An entry of a list is selected by its index from 0,
 //! or by its name: `solid[0]`, `solid.wall`, `domain.open.+x`.

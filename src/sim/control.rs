@@ -1,7 +1,7 @@
 //! Changes of a simulation between two sub-steps: gravity, prescribed motions and velocities.
 //!
-//! A motion may change from the present time on only: a body that jumped would leave liquid where it was and enter liquid where it is. The nodes of
-//! a script move with the velocity that the sub-step before computed, so they follow a new script one sub-step later than an obstacle.
+//! A motion may change from the present time on only: a body that jumped would overlap the liquid at its new place. The nodes of a script move with
+//! the velocity from the last sub-step, so they follow a new script one sub-step later than an obstacle.
 
 use glam::DVec3;
 

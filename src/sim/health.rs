@@ -1,5 +1,5 @@
-//! Checks that a run still computes what its scene describes. A collapsed solid is an error. Liquid that is too fast,
-//! lost or of the wrong volume causes one notice each per run.
+//! Checks of a run against the physics of its scene. A collapsed solid is an error. Liquid that is too fast, lost or of
+//! the wrong volume causes one notice each per run.
 
 use crate::Error;
 use crate::elastic::Solids;

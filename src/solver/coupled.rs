@@ -4,8 +4,8 @@
 //!   [B  J; J^T -S] [phi; v] = [E u*; -rhs]         r_p = E u* - B phi - J v,   r_v = P (rhs - S v + J^T phi)
 //! ```
 //!
-//! in the units of the pressure's system: phi is a potential, m/s, rows of the liquid are divided by dx^2 and those of the solids by
-//! rho dx^3/dt, the mass rate of a cell, so that J is the same in both.
+//! in the units of the pressure's system. phi is a potential, m/s. Rows of the liquid are divided by dx^2, those of the solids by rho
+//! dx^3/dt, the mass rate of a cell. So J is the same in both.
 //!
 //! Corrections have one of two forms: [`two_field`](super::two_field), both blocks by conjugate gradients on the device, or
 //! [`schur`](super::schur), pressures alone.

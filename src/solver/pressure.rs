@@ -1,4 +1,4 @@
-//! The pressure solve: the system B phi = b in the outer loop, and what it asks of the kernels.
+//! The pressure solve: the system B phi = b in the outer loop, and its requirements on the kernels.
 
 use crate::Error;
 use crate::fields::SolverBuffers;

@@ -1,7 +1,7 @@
 //! Outer loop: iterative refinement on the true residual r = b - A x, the same for every [`System`].
 //!
-//! A refinement step solves A dx = r / |r| by conjugate gradients; a residual evaluation accepts or rejects x + |r| dx
-//! ([`acceptance`](super::acceptance)) and begins the next step or ends the solve. Both are recorded ahead and dispatched by sizes that kernels write.
+//! A refinement step solves A dx = r / |r| by conjugate gradients. A residual evaluation accepts or rejects x + |r| dx
+//! ([`acceptance`](super::acceptance)) and begins the next step or ends the solve. Both are recorded ahead; kernels write their dispatch sizes.
 //! Adapters without f64 evaluate residuals on the host, one exchange per step.
 
 use std::collections::VecDeque;

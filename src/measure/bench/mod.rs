@@ -1,8 +1,8 @@
 //! Benches: one skeleton, and a file of cases and columns for each.
 //!
 //! A bench declares its tables ([`table::Table`]) and a list of `Case`s. `Run::cases` measures them in order, adds their rows to the tables and
-//! rewrites all files after each case: CSV, JSON with machine and request, SVG. With `--resume` it keeps finished rows of an earlier run with the
-//! same request. `rounds` repeats timed jobs in a shuffled order; ratios are within a round.
+//! rewrites all files after each case: CSV, JSON with machine and request, SVG. With `--resume` finished rows of an earlier run with the same
+//! request remain. `rounds` repeats timed jobs in a shuffled order; ratios are within a round.
 
 pub mod accuracy;
 mod bytes;

@@ -1,12 +1,12 @@
-//! `bench stability`: hostile scenes in strong coupling, the variants of the thesis's section 6.3, and the limit of added mass that weak coupling
-//! has in one dimension.
+//! `bench stability`: hostile scenes in strong coupling, the variants of the thesis's section 6.3, and the added-mass limit of weak coupling in
+//! one dimension.
 //!
 //! The energy of a run, J, is kinetic, elastic and potential. The liquid's is that of its markers, which share its mass equally, so that spray
-//! does not inflate it. Potential energy counts from the lowest corner of the domain. Backward Euler and the projection only dissipate. Markers
-//! fall with the velocities of the sub-step before and gain g v dt / 2 per kg.
+//! does not inflate it. Potential energy counts from the lowest corner of the domain. Backward Euler and the projection only dissipate. The
+//! update of the markers adds g v dt / 2 per kg (`budget`).
 //!
-//! A run fails where an energy or a speed exceeds its bound (`budget`), a tenth of the markers is lost, or more than a hundredth of the sub-steps
-//! miss a tolerance or leave contacts unsettled. It also fails where a value is not finite or the simulation fails.
+//! A run fails if an energy or a speed exceeds its bound (`budget`), or if a tenth of the markers is lost. It fails if more than a hundredth of
+//! the sub-steps miss a tolerance or leave contacts unsettled. It also fails if a value is not finite or the simulation fails.
 
 mod budget;
 mod cases;

@@ -7,10 +7,10 @@
 //! DIR/meta.json     dt, dx and other numbers
 //! ```
 //!
-//! With liquid the matrix is B of B p = E u*; cells.csv lists the cell of each row. With solids it is S of S v = rhs on the free components; nodes.csv
-//! lists the node and component of each row, and M.mtx, K.mtx and S.mtx are the blocks with all components. If liquid and solids touch, spd.mtx is
-//! the two-field matrix of thesis (5.25). The same problem is written as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand side,
-//! and as the blocks B, J, M, K, Z1 and Z2. On the GPU path the system is the one stored on the device, widened to f64.
+//! With liquid the matrix is B of B p = E u*; cells.csv lists the cell of each row. With solids it is S of S v = rhs on the free components.
+//! nodes.csv lists the node and component of each row. M.mtx, K.mtx and S.mtx are the blocks with all components. If liquid and solids touch, spd.mtx
+//! is the two-field matrix of thesis (5.25). The same problem is also written as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand
+//! side. The blocks are B, J, M, K, Z1 and Z2. On the GPU path the system is the one stored on the device, widened to f64.
 
 mod coupled;
 mod pressure;

@@ -1,8 +1,8 @@
 //! Shaded pictures of a run from its files: `manifest.json` and `frames/`.
 //!
-//! A ray tracer on the CPU in f32. It draws the liquid's surface with refraction, Fresnel reflection and absorption; elastic
-//! solids by body, stress or change of volume; obstacles, soft shadows, the floor with a labelled grid, and the edges of the
-//! domain. Pixels are independent, so pictures do not depend on the number of threads.
+//! A ray tracer on the CPU in f32. It draws the liquid's surface with refraction, Fresnel reflection and absorption, and
+//! elastic solids by body, stress or change of volume. It also draws obstacles, soft shadows, the floor with a labelled
+//! grid, and the edges of the domain. Pixels are independent, so pictures do not depend on the number of threads.
 
 mod liquid;
 mod picture;

@@ -1,6 +1,6 @@
 //! Pairs of sub-steps from the same state, and the significance of their differences.
 //!
-//! The sign test assumes no distribution of the seconds: the ends of an interval are order statistics of the differences, and the probability that it
+//! The sign test assumes no distribution of the seconds. The ends of an interval are order statistics of the differences. The probability that it
 //! misses the true median is binomial (Conover, Practical Nonparametric Statistics, sections 3.2 and 3.4).
 
 use super::super::statistics::Spread;

@@ -1,14 +1,14 @@
 //! Bounds of energies and speeds of a run in which only gravity does work: no case has an inflow or a scripted part.
 //!
-//! - Total energy: that of the start and the gain of the marker update. Most of it is in the liquid at rest, so this bound does not see a light solid
-//!   gain many times its own energy.
+//! - Total energy: that of the start and the gain of the marker update. Most of it is in the liquid at rest, so a light solid may gain many times its
+//!   own energy within this bound.
 //! - Energy of motion and strain: kinetic and elastic energy of the start, and the potential energy that gravity can release. The least potential
 //!   energy has all solids on the floor, and the markers, eight to a cell, below them without obstruction. A step of half a cell in the surface adds to
 //!   the release: markers do not resolve it. A pool at rest can release next to nothing.
-//! - Speeds: v + g dt with v^2 = v_0^2 + 2 g H + 2 W / m: the largest speed at the start, a fall through the height H of the domain, and the strain
-//!   energy W of the start per mass m of the solids. Factors: [`SOLID_FACTOR`], [`LIQUID_FACTOR`].
+//! - Speeds: v + g dt with v^2 = v_0^2 + 2 g H + 2 W / m. v_0 is the largest speed at the start, H the height of the domain, W / m the strain energy
+//!   of the start per mass of the solids. Factors: [`SOLID_FACTOR`], [`LIQUID_FACTOR`].
 //!
-//! Gain of the marker update: markers fall with the velocities of the sub-step before and gain g v dt / 2 per kg, g dt / 2 times their momentum. The
+//! Gain of the marker update: markers fall with the velocities of the last sub-step. They gain g v dt / 2 per kg, g dt / 2 times their momentum. The
 //! momentum of a mass m with the kinetic energy K is at most sqrt(2 K m).
 
 use glam::DVec3;

@@ -1,8 +1,8 @@
 //! The added-mass limit of weak coupling, in one dimension.
 //!
-//! A piston of mass m_s and spring k per area, at rest, is pushed against a column of liquid m_a = rho L with p = 0 at its other end. Weak coupling
-//! applies the pressure of the sub-step before, p = -m_a (v_n - v_(n-1)) / dt. Backward Euler of the solid is m_s (v_(n+1) - v_n) + dt k x_(n+1) =
-//! dt p. With a = k dt^2 / m_s and r = m_a / m_s the velocities are proportional to z^n,
+//! A piston of mass m_s and spring k per area is pushed from rest against a column of liquid m_a = rho L. The column has p = 0 at its other end.
+//! Weak coupling applies the pressure of the last sub-step, p = -m_a (v_n - v_(n-1)) / dt. Backward Euler of the solid is m_s (v_(n+1) - v_n) + dt
+//! k x_(n+1) = dt p. With a = k dt^2 / m_s and r = m_a / m_s the velocities are proportional to z^n,
 //!
 //! ```text
 //! (1 + a) z^3 + (r - 2) z^2 + (1 - 2 r) z + r = 0,

@@ -1,8 +1,8 @@
 //! Tables 6.5 and 6.6: one sub-step from rest of the problem of section 6.4 ([`PlaneStrain`]). Its pressure is known and its velocity is 0.
 //!
 //! Errors are largest magnitudes: of the pressures of all unknowns, the components of the nodes' velocities, and the velocities on open faces
-//! beside unknowns. The thesis has patch pressures that are constant over a cell: the error of the pressure is the weight of the liquid between the
-//! block's face and the centre of its cell. With hydrostatic ones it decreases with the square of the cell size.
+//! beside unknowns. The thesis has patch pressures that are constant over a cell. The error of the pressure is then the weight of the liquid
+//! between the block's face and the centre of its cell. With hydrostatic ones it decreases with the square of the cell size.
 
 use super::{MOST_ITERATIONS, Options, TOLERANCE};
 use crate::Error;

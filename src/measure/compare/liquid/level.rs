@@ -1,8 +1,8 @@
 //! The stages of a level against their twins.
 //!
-//! Many of their results jump: interface cells, clipped corrections, cells of thin liquid. Each twin also runs from inputs that are
-//! moved by their rounding, in several patterns of signs. Where these results spread, a number beyond its bound but within
-//! twice the spread is excused.
+//! Many of their results are discontinuous: interface cells, clipped corrections, cells of thin liquid. Each twin also runs from
+//! inputs that are moved by their rounding, in several patterns of signs. Where these results differ, a number above its bound but
+//! within twice the spread is excused.
 
 use glam::DVec3;
 

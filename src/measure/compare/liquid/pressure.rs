@@ -1,5 +1,5 @@
-//! The pressure: the device's solution against a direct f64 solve of the system that it stored, and that solve against one of a system assembled in
-//! f64 from the same fields.
+//! The pressure in two comparisons: the device's solution against a direct f64 solve of the stored system, and that solve against one of a system
+//! assembled in f64 from the same fields.
 //!
 //! The bounds are rigorous. B is an M-matrix, so |r| <= t in every cell implies |B^-1 r| <= B^-1 t there. One more solve, with the allowed
 //! residual as right-hand side, bounds the error of the pressure. In an enclosed component one cell is fixed; this bounds the differences to it.
