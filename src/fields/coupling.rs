@@ -22,7 +22,7 @@ pub(crate) const PARTIALS: usize = 3;
 /// Words of [`CouplingBuffers::report`].
 pub const REPORT_WORDS: usize = 16;
 
-/// Share of zeta_M M in Z1: design section 5.
+/// Share of zeta_M M in Z1.
 const SIGMA: f32 = 0.5;
 
 /// Sizes and units of J.
@@ -100,7 +100,7 @@ arrays! {
             pub array quad_pairs: [u32; 4] [size.pairs],
             /// By node: bits of the value, padded index of the cell.
             pub array node_pairs: [u32; 4] [size.pairs],
-            /// Of the wet quads, then of the nodes; `Real4`.
+            /// Partial sums of the wet quads, then of the nodes; `Real4`.
             pub real partials: (variant.real) [4 * (size.quads + n_nodes)],
             /// g_p of the wet quads while the V-cycle has another right-hand side.
             pub(crate) real kept: (variant.inner) [4 * size.quads],

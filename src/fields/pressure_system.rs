@@ -195,7 +195,7 @@ pub(crate) fn everywhere(grid: &Grid) -> (Vec<u32>, [u32; 4]) {
     (list, [x, y, z, n])
 }
 
-/// Where level 0 of the stored system, in f32, arrives.
+/// Read-backs of level 0 of the stored system, in f32.
 #[derive(Debug)]
 pub(crate) struct PressureReadbacks {
     /// Weights of the minus faces along x, y, z, and the free-surface term.

@@ -55,15 +55,15 @@ pub struct SolidRows {
     list: Vec<u32>,
     /// Column of each entry.
     neighbours: Vec<u32>,
-    /// Where the joints of each entry start, then the joints.
+    /// Offsets of the joints of each entry, then the joints.
     joints: Vec<u32>,
-    /// Where the corners of each node start, then the corners.
+    /// Offsets of the corners of each node, then the corners.
     incidence: Vec<u32>,
     /// Blocks without padding.
     n_blocks: usize,
     /// Nodes of the largest solid.
     largest_body: usize,
-    /// What the host needs for a residual of its own.
+    /// Nodes of the elements, for residuals on the host.
     pub(crate) elements: Arc<Vec<[u32; 4]>>,
 }
 
@@ -289,7 +289,7 @@ impl SolidSystemBuffers {
     }
 }
 
-/// Where the stored system, in f32, arrives, and what of it never changes.
+/// Read-backs of the stored system, in f32, and its constant part.
 #[derive(Debug)]
 pub(crate) struct SolidReadbacks {
     pub(crate) elements: Arc<Vec<[u32; 4]>>,

@@ -84,7 +84,7 @@ use crate::grid::{Axis, Grid, Sides};
 use crate::scene::{ProbeKind, Scene};
 use distance::Body;
 
-/// What obstacles, and solids in liquid, leave of the grid.
+/// The grid cut by obstacles, and by solids in liquid.
 #[derive(Clone, Debug, Default)]
 pub struct CutCells {
     /// Face apertures per axis (host face layout, 0 to 1), clamped; 0 on the walls of the domain.

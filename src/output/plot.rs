@@ -293,7 +293,7 @@ fn range(values: impl Iterator<Item = f64> + Clone, beyond: f64) -> Option<Range
     let least = values.clone().fold(f64::INFINITY, f64::min);
     let most = values.fold(f64::NEG_INFINITY, f64::max);
     let span = match most - least {
-        // What differs by less is the same but for rounding, and ticks would need all its digits.
+        // Smaller differences are rounding, and ticks would need all digits.
         span if span > 1e-9 * most.abs().max(least.abs()) => span,
         _ => most.abs().max(1.0),
     };

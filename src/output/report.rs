@@ -144,7 +144,7 @@ fn gather(dir: &Path, folders: &mut Vec<Folder>) -> Result<(), Error> {
     Ok(())
 }
 
-/// What is wrong with a table without a head line.
+/// Message about a table without a head line.
 pub(super) const EMPTY: &str = "it is empty: not even the names of its columns are there";
 
 /// Heads and rows of a table; neither of an empty file.
@@ -225,7 +225,7 @@ fn section(dir: &Path, folder: &Folder) -> Result<Markup, Error> {
     })
 }
 
-/// Where something was measured: the plain values of a JSON file, and those one level down that are numbers or texts.
+/// Conditions of a measurement: the plain values of a JSON file, and numbers and texts one level down.
 fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
     use serde_json::Value;
     let value: Value = serde_json::from_str(&read(path)?).map_err(|problem| unreadable(path, &problem))?;

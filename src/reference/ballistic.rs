@@ -97,7 +97,7 @@ const BESIDE_PLANE: f64 = 1e-3;
 pub struct Ballistic<'a> {
     /// Cells with liquid in the last solve.
     filled: &'a [bool],
-    /// Those that are ballistic; empty where there are none.
+    /// Ballistic cells; empty if there are none.
     cells: &'a [bool],
     /// dt^2 g / 2, m.
     shift: DVec3,

@@ -15,7 +15,7 @@ use crate::linalg::{
     largest_magnitude, smallest_magnitude,
 };
 
-/// Of the recurrence of a solve.
+/// Tolerance of the recurrence of a solve.
 const TOLERANCE: f64 = 1e-10;
 const MOST_ITERATIONS: usize = 2000;
 /// Rows of a matrix of which all eigenvalues are computed, too: some seconds.
@@ -26,22 +26,22 @@ const EXACT_UP_TO: usize = 2000;
 pub struct Condition {
     /// For the 2-norm.
     pub two_norm: f64,
-    /// The same from all eigenvalues, of up to 2,000 rows: what the iterations are off by.
+    /// The same from all eigenvalues, up to 2,000 rows: shows the error of the iterations.
     pub two_norm_exact: Option<f64>,
     /// For the 1-norm, a lower bound.
     pub one_norm: f64,
 }
 
-/// Those of both forms.
+/// Condition numbers of both forms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditions {
-    /// Of diag(1, alpha) \[B J; J^T -S\] diag(1, alpha).
+    /// Matrix diag(1, alpha) \[B J; J^T -S\] diag(1, alpha).
     pub indefinite: Condition,
-    /// Of the matrix of thesis (5.36).
+    /// Matrix of thesis (5.36).
     pub two_field: Condition,
 }
 
-/// Of a system with the share sigma of the mass in Z1, and alpha (Pa s/m) before the velocities' rows and columns.
+/// Condition numbers of a system with the share sigma of the mass in Z1, and the factor alpha (Pa s/m) of the velocities' rows and columns.
 ///
 /// # Errors
 /// When a factor does not fit into memory, or an iteration does not converge.
@@ -71,7 +71,7 @@ pub fn conditions(system: &CoupledSystem, sigma: f64, alpha: f64) -> Result<Cond
         let scales: Vec<f64> = (0..n).map(|row| if row < n_cells { 1.0 } else { alpha }).collect();
         let matrix = matrix.scaled(&scales, &scales);
         let two_norm = largest_magnitude(&matrix)? / smallest_magnitude(n, solve)?;
-        // Of a symmetric matrix rows add up to what columns do.
+        // In a symmetric matrix rows and columns have the same sums.
         let one_norm = matrix.infinity_norm() * inverse_one_norm(n, solve)?;
         let all = (n <= EXACT_UP_TO).then(|| eigenvalues(&matrix)).transpose()?;
         let exact = all.map(|all| {

@@ -1,4 +1,4 @@
-//! The coupled system of one step (design section 2, thesis 5.17): B p + J v = E u*, S v - J^T p = -w.
+//! The coupled system of one sub-step (thesis 5.17): B p + J v = E u*, S v - J^T p = -w.
 
 use glam::DVec3;
 

@@ -1,4 +1,4 @@
-//! The pressure system B p = E u* of one step (design section 2, thesis 4.32-4.39), B = scale * stencil.
+//! The pressure system B p = E u* of one sub-step (thesis 4.32-4.39), B = scale * stencil.
 
 use rayon::prelude::*;
 

@@ -1,5 +1,4 @@
-//! Iterative refinement, the outer loop of every solve: corrections are added until the true residual is small enough
-//! (design section 5).
+//! Iterative refinement, the outer loop of every solve: corrections are added until the true residual is small enough.
 
 use std::ops::Range;
 

@@ -9,11 +9,11 @@
 //! advection of full-aperture faces, w = max(a - 0.2, 0) and t = min(W / 0.2, 1): the result is continuous in the
 //! apertures.
 //!
-//! A body near another or a wall squeezes liquid through faces of almost no area, at any speed. Used at full-aperture
-//! faces, that speed is spurious momentum. With unblended velocities in `extrapolate`, a block in a tank reached 2.1
+//! A body near another or a wall squeezes liquid through faces of almost no area, at any speed. At full-aperture faces
+//! that speed would be spurious momentum. With unblended velocities in `extrapolate`, a block in a tank reached 2.1
 //! and 5.6 times its initial energy (2,000 sub-steps, `bench stability`, density_0.1 and young_1e7). With unblended
-//! velocities in `advect_velocity`, speeds doubled per sub-step up to 2,000 m/s (inside_both). The faces keep their
-//! own velocity, since squeezed films resist through it.
+//! velocities in `advect_velocity`, speeds doubled per sub-step up to 2,000 m/s (inside_both). Small-aperture faces
+//! have their own velocity, through which squeezed films resist.
 
 use rayon::prelude::*;
 

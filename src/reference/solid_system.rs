@@ -1,4 +1,4 @@
-//! The system S v = rhs of one step of the solids (design section 2): S = zeta_M M + zeta_K K in the free directions.
+//! The system S v = rhs of one sub-step of the solids: S = zeta_M M + zeta_K K in the free directions.
 //!
 //! With the constraint projector P ([`Freedom`]), v = P x + c with the constrained part c.
 //! The unknown x solves P S P x = P (rhs - S c).

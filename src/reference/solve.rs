@@ -1,4 +1,4 @@
-//! `solve`: the pressure of one step, with a stopping criterion on the true residual (design section 5).
+//! `solve`: the pressure of one sub-step, with a stopping criterion on the true residual.
 //!
 //! Sparse Cholesky up to [`DIRECT_UNKNOWNS`] unknowns, above them conjugate gradients with [`Multigrid`]. Iterative
 //! refinement repeats either until the true residual passes.

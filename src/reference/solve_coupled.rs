@@ -1,5 +1,5 @@
-//! `solve`, for liquid and solids together: one function per formulation of design section 2. The stopping criterion
-//! uses the residual of the indefinite system. Iterative refinement continues until both parts pass.
+//! `solve`, for liquid and solids together: one function per formulation. The stopping criterion uses the residual of
+//! the indefinite system. Iterative refinement continues until both parts pass.
 
 use super::active_cells::closed_components;
 use super::coupled_system::{Blocks, CoupledSystem, TwoField};

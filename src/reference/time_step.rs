@@ -108,7 +108,7 @@ impl StepLimits {
             let whole = 2.0 * dt_last * (1.0 + ROUNDING) >= left;
             longest = longest.min(if whole { 2.0 } else { GROWTH } * dt_last);
         }
-        // What begins within the sub-step counts.
+        // Accelerations that begin within the sub-step count.
         let wave = wave(longest.min(left));
         longest = longest.min(wave);
         if dt_last == 0.0 && self.surface {

@@ -203,7 +203,7 @@ pub(super) struct Document {
     file: PathBuf,
     overrides: Vec<String>,
     root: Node,
-    /// What was removed because it refers to something that `--without` removed.
+    /// Keys that were removed because they refer to a removed part.
     removed: Vec<String>,
     /// Whether this is an example of the format, whose mesh files do not exist.
     exemplar: bool,
@@ -255,7 +255,7 @@ impl Document {
         Ok(document)
     }
 
-    /// What was removed because it refers to something that `--without` removed, by key or name.
+    /// Parts that were removed because they refer to one that `--without` removed, by key or name.
     pub(super) fn removed(&self) -> &[String] {
         &self.removed
     }

@@ -48,7 +48,7 @@ pub struct Scene {
     pub values: BTreeMap<String, String>,
     /// SHA-256 of the mesh files, in hexadecimal, by their paths from the scene's folder.
     pub meshes: BTreeMap<String, String>,
-    /// What was removed because it refers to something that an override removed ([`without`]), by key or name.
+    /// Parts that were removed because they refer to one that an override removed ([`without`]), by key or name.
     pub removed: Vec<String>,
     /// `--scale`, already applied to [`Domain::cells`].
     pub scale: f64,

@@ -59,9 +59,9 @@ pub const COUPLING_SHARE: f64 = 0.01;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct RefineSettings {
-    /// Of |r| relative to the right-hand side.
+    /// Bound of |r| relative to the right-hand side.
     pub tolerance: f32,
-    /// Of |r| relative to the terms of the right-hand side: rounding error.
+    /// Rounding error of |r| relative to the terms of the right-hand side.
     pub rounding: f32,
     /// Least reduction by a correction.
     pub floor: f32,
@@ -96,7 +96,7 @@ impl RefineSettings {
     }
 }
 
-/// Rounding error of the residual, relative to the terms that the right-hand side sums (design section 5).
+/// Rounding error of the residual, relative to the terms that the right-hand side sums.
 pub fn rounding(solver: &Solver) -> f64 {
     match solver.precision {
         Precision::F32 => 1e-7,

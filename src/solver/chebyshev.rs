@@ -6,8 +6,8 @@ pub(super) const MAX_DEGREE: usize = 64;
 /// Largest wanted degree over the degree.
 const SHORT: u32 = 2;
 
-/// The Chebyshev iteration of `shaders/common/chebyshev.wgsl`, whose doppelganger this is: z = p(D^-1 S) D^-1 r with p of this degree, for
-/// eigenvalues of D^-1 S in [`largest` / (0.7 degree^2), `largest`] (design section 5). Those below are positive in p all the same, so z is
+/// The Chebyshev iteration of `shaders/common/chebyshev.wgsl`: z = p(D^-1 S) D^-1 r with p of this degree, for eigenvalues of
+/// D^-1 S in [`largest` / (0.7 degree^2), `largest`]. p is positive for smaller eigenvalues too, so z is
 /// symmetric and positive in r, whatever the lower end, as long as none is above.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]

@@ -31,7 +31,7 @@ use super::{Control, Level};
 const GOAL: usize = 3;
 /// Status in [`Control`] where the first direction of a refinement step has no positive energy: `shaders/common/control_state.wgsl`.
 const STATUS_BREAKDOWN: u32 = 3;
-/// Where the last correction was rejected.
+/// Status in [`Control`] if the last correction was rejected.
 const STATUS_STAGNATED: u32 = 4;
 
 /// Result of a solve, of one block.
@@ -222,7 +222,7 @@ pub(super) struct HostResidual {
 /// Accuracy and start of a solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Aim {
-    /// Of |r|, relative to the right-hand side.
+    /// Bound of |r| relative to the right-hand side.
     pub(super) tolerance: f64,
     /// Whether the solve starts from the correction as it stands, unless zero is better.
     pub(super) guess: bool,

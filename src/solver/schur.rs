@@ -2,8 +2,8 @@
 //! dv = S^-1 (r_v + J^T dp), in the units of [`coupled`](super::coupled).
 //!
 //! Conjugate gradients need S^-1 only among the wet components: the wet compliance, a dense matrix in f32 from a sparse Cholesky factor on the
-//! host (design section 5). The full S^-1 of y and dv uses the factor in f64: one exchange of three numbers per node in a refinement step. The wet
-//! compliance only corrects, so its rounding costs iterations and no accuracy.
+//! host. The full S^-1 of y and dv uses the factor in f64: one exchange of three numbers per node in a refinement step. The wet compliance only
+//! corrects, so its rounding costs iterations and no accuracy.
 
 use crate::fields::{Coupling, SolidRows, variant};
 use crate::gpu::bind;

@@ -59,7 +59,7 @@ pub struct PressureSystem {
     compact: Vec<Compaction>,
 }
 
-/// Where the pressure is 0.
+/// Surfaces of zero pressure.
 #[derive(Clone, Copy, Debug)]
 pub struct FreeSurface {
     /// Smallest distance to the surface, cells.

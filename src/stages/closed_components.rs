@@ -80,7 +80,7 @@ impl Components {
     }
 }
 
-/// What solids do to components without a free surface.
+/// Effect of solids on components without a free surface.
 #[derive(Debug)]
 pub struct Seal {
     seal: Bound,

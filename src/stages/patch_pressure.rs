@@ -17,13 +17,13 @@ use crate::wgsl;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct PressureSlope {
-    /// Of liquid at rest, Pa/m.
+    /// Pressure gradient of liquid at rest, Pa/m.
     pub at_rest: [f32; 3],
     /// rho / dt of the last sub-step, Pa/m per m/s of the potential; 0 before the first.
     pub scale: f32,
 }
 
-/// What a gradient of the last pressure is made of, besides it.
+/// Face apertures for the gradient of the last pressure.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenFaces<'a> {
     /// Layout.

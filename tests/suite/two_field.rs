@@ -300,7 +300,7 @@ fn iterations_stay_few() {
 }
 
 /// Soft, stiff and light beams: of the two-field form as far as the polynomial's largest degree is from enough. The condensed form takes
-/// at most 26 iterations where one of stiffness and density is extreme, and at most 50 where both are (design section 5).
+/// at most 26 iterations where one of stiffness and density is extreme, and at most 50 where both are.
 #[test]
 fn extreme_beams_converge() {
     let Some(gpu) = gpu() else { return };

@@ -1,6 +1,6 @@
 //! Ray intersections with triangles: a bounding volume hierarchy with median splits, and the Moeller-Trumbore test (1997).
 //!
-//! Of equally distant triangles the order of the hierarchy decides, which depends on the triangles alone.
+//! The order of the hierarchy selects among equally distant triangles; it depends on the triangles alone.
 
 use glam::Vec3;
 

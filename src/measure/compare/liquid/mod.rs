@@ -40,7 +40,7 @@ pub(super) struct LiquidComparison<'a> {
     taps: SourcesAndSinks,
     /// State of the sources in the sub-step.
     running: Running,
-    /// Of the sources, with a level.
+    /// Lattices of the sources, with a level.
     lattices: Vec<Lattice>,
     /// Volume that sources renew, m^3.
     renewed: f64,
