@@ -1,6 +1,6 @@
-//! Eigenvalue bounds of assembled matrices from those of the elements. x^T S x is the sum of x_e^T S_e x_e, so an inequality of
-//! all elements is one of the sum (Fried 1972). Rotations, constraints and time steps do not change the bounds, which are
-//! computed once.
+//! Eigenvalue bounds of assembled matrices from those of the elements. An inequality of all elements is one of the assembled
+//! matrix: x^T S x is the sum of x_e^T S_e x_e (Fried 1972). Rotations, constraints and time steps do not change the bounds,
+//! which are computed once.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! `extrapolate`: velocities beyond the liquid for the next advection, and free slip along obstacles.
+//! `extrapolate`: velocities outside the liquid for the next advection, and free slip along obstacles.
 //!
 //! In each layer, a face without a valid velocity receives the mean over its nearest valid neighbours of the same axis.
 //! These are beside it, else across an edge, else across a corner. So a layer extends by one cell along every diagonal

@@ -1,9 +1,9 @@
-//! Schur-complement form of the corrections, pressures alone: (B + J S^-1 J^T) dp = r_p - J y, y = S^-1 r_v, then
-//! dv = S^-1 (r_v + J^T dp), in the units of [`coupled`](super::coupled).
+//! Schur-complement form of the corrections, in the pressures alone and in the units of [`coupled`](super::coupled): (B + J S^-1 J^T) dp =
+//! r_p - J y with y = S^-1 r_v, then dv = S^-1 (r_v + J^T dp).
 //!
-//! Conjugate gradients need S^-1 only among the wet components: the wet compliance, a dense matrix in f32 from a sparse Cholesky factor on the
-//! host. The full S^-1 of y and dv uses the factor in f64: one exchange of three numbers per node in a refinement step. The wet compliance only
-//! corrects, so its rounding costs iterations and no accuracy.
+//! Conjugate gradients need S^-1 only among the wet components. This is the wet compliance, a dense matrix in f32 from a sparse Cholesky factor
+//! on the host. The full S^-1 of y and dv uses the factor in f64, with one exchange of three numbers per node in a refinement step. The
+//! rounding of the wet compliance costs iterations and no accuracy.
 
 use crate::fields::{Coupling, SolidRows, variant};
 use crate::gpu::bind;

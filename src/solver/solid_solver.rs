@@ -1,5 +1,5 @@
-//! The solve of the solids, S v = rhs: conjugate gradients on the elements' own products, preconditioned by a Chebyshev polynomial in
-//! D^-1 S, in the outer loop.
+//! The solve of the solids, S v = rhs, in the outer loop: conjugate gradients with the products of the elements. The preconditioner
+//! is a Chebyshev polynomial in D^-1 S.
 
 use crate::Error;
 use crate::fields::SolidBuffers;

@@ -1,8 +1,8 @@
-//! The system of the solids on the device, S v = rhs with S = zeta_M M + zeta_K K: its rows, buffers, and the kernels that set it up.
+//! The system of the solids on the device, S v = rhs with S = zeta_M M + zeta_K K: rows, buffers and set-up.
 //!
 //! The matrix is that of the rotated elements (`solid.rotated`) and never assembled: residuals and the operator of conjugate gradients
-//! sum the products of the elements. Only the preconditioner has a matrix, 3x3 blocks in rows that are sorted by length in windows
-//! and cut into slices of 64 (SELL-C-sigma, Kreutzer et al. 2014), so that one thread per row streams.
+//! sum the products of the elements. Only the preconditioner has a matrix, of 3x3 blocks. Its rows are sorted by length in windows and
+//! cut into slices of 64, for coalesced reads by one thread a row (SELL-C-sigma, Kreutzer et al. 2014).
 
 use crate::Error;
 use crate::fields::solid_system::NODES;

@@ -1,7 +1,7 @@
-//! S of the solids as the device stores it, on the host: assembled, factorised, inverted where the liquid wets it.
+//! The stored S of the solids on the host: assembled, factorised, and inverted on the wet nodes.
 //!
 //! Constraints of walls, obstacles and pins are applied as on the device: P S P + mu (I - P), with the projector P of each node and the mean mu
-//! of its diagonal, which is regular and has the inverse of the free part among the free directions.
+//! of its diagonal. This matrix is regular, and its inverse in the free directions is that of the free part.
 
 use std::sync::{Arc, OnceLock};
 

@@ -4,9 +4,9 @@
 //!   g = [r_p - J Z1^-1 r_v; Z2 Z1^-1 r_v],   A s = [B s_p + J t; Z2 (s_v - t)],   t = Z1^-1 (J^T s_p - Z2 s_v)
 //! ```
 //!
-//! with Z1 = sigma zeta_M M and Z2 = S - Z1. The factored form has no cancellation. It is preconditioned by t = Sh g_v, z_p = H (g_p +
-//! J t), z_v = Sh (J^T z_p + Z1 t), H the V-cycle of the pressure and Sh the polynomial of the solids. Vectors of the liquid are as
-//! precise as the corrections, those of the solids as the residuals: they are few, and Z2 is stiff.
+//! with Z1 = sigma zeta_M M and Z2 = S - Z1. The factored form has no cancellation. The preconditioner is t = Sh g_v, z_p = H (g_p + J
+//! t), z_v = Sh (J^T z_p + Z1 t), with the V-cycle H of the pressure and the polynomial Sh of the solids. Vectors of the liquid have
+//! the precision of the corrections. Those of the solids have that of the residuals: they are short, and Z2 is stiff.
 
 use crate::Error;
 use crate::fields::Coupling;

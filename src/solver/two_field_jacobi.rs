@@ -1,5 +1,5 @@
-//! The diagonal of the two-field system as its preconditioner, for comparison: of the rows of the liquid
-//! diag(B) + diag(J Z1^-1 J^T), of those of the solids diag(Z2 + Z2 Z1^-1 Z2), or the 3x3 blocks of the nodes.
+//! The diagonal of the two-field system as its preconditioner, for comparison. For the liquid it is diag(B) + diag(J
+//! Z1^-1 J^T), for the solids diag(Z2 + Z2 Z1^-1 Z2) or the 3x3 blocks of the nodes.
 
 use crate::Error;
 use crate::gpu::bind;

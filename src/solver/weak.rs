@@ -1,5 +1,5 @@
-//! Weak coupling: the pressure against the velocities that nodes had before the sub-step, then the solids under that pressure. Each
-//! system is solved by itself; what joins them stands here.
+//! Weak coupling: the pressure is solved with the old velocities of the nodes, then the solids under that pressure. Two separate
+//! solves; this file has the terms that couple them.
 
 use crate::Error;
 use crate::fields::SolidBuffers;

@@ -1,5 +1,5 @@
 //! `advect_level`: transport of the level by MacCormack's method, semi-Lagrangian along the midpoint rule in both passes.
-//! Liquid that touches nothing comes from g dt^2 / 2 further up.
+//! In ballistic liquid the departure point is g dt^2 / 2 further up.
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};

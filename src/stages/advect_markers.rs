@@ -1,6 +1,6 @@
-//! `advect_markers`: x1 = x + dt v(x + dt/2 v(x)). Near the surface v is the velocity of the surface above. Markers
-//! are then pushed out of walls, obstacles and solids. In liquid that touches nothing they also fall by g dt^2 / 2.
-//! With a level v is the velocity at the markers themselves, and spray flies as free bodies.
+//! `advect_markers`: x1 = x + dt v(x + dt/2 v(x)). Near the surface v is the velocity of the surface above. Markers are
+//! then pushed out of walls, obstacles and solids. In ballistic liquid they also fall by g dt^2 / 2. With a level v is
+//! the velocity at the markers themselves, and spray flies as free bodies.
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};

@@ -1,6 +1,6 @@
 //! `advect_velocity`: u*(x) = u(x - dt u(x - dt/2 u(x))) per face, semi-Lagrangian along the midpoint rule (Stam 1999), with
-//! a level corrected by MacCormack's method. Small-aperture faces contribute in proportion to their aperture. Liquid that
-//! touches nothing comes from g dt^2 / 2 further up.
+//! a level corrected by MacCormack's method. Small-aperture faces contribute in proportion to their aperture. In ballistic
+//! liquid the departure point is g dt^2 / 2 further up.
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};

@@ -1,4 +1,4 @@
-//! `move_solid`, before the motion: bodies that touch nothing. They move by dt v + dt^2 g / 2, which is exact for what falls freely.
+//! `move_solid`, before the motion: bodies that touch nothing. They move by dt v + dt^2 g / 2, which is exact in free fall.
 
 use super::move_solid::BODY_THREADS;
 use crate::Error;

@@ -3,8 +3,8 @@
 //! Tiles of 8 x 8 x 8 cells with liquid are dilated by the reach of extrapolation and advection in a sub-step. All
 //! quads of a dilated tile are in the band. The list is row-major, for coalesced access.
 //!
-//! Tiles with liquid are those with markers. With a level they are those that liquid before the sub-step may reach in it,
-//! and those with markers of the liquid, all with `level` absent. Spray needs no band.
+//! Tiles with liquid are those with markers. With a level they are the tiles that the liquid may reach in the sub-step,
+//! and those with markers of the liquid. Spray needs no band.
 
 use crate::Error;
 use crate::gpu::{CompactKernels, Compaction, Dispatches, Gpu, Kernel, Real};

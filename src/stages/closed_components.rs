@@ -1,13 +1,13 @@
 //! Stage `closed_components`: the liquid components without a free surface, whose pressure is fixed up to a constant.
 //!
-//! **Labels.** Union-find over the faces with weight: every cell first points to its neighbour below, which makes trees without
-//! atomics (Komura 2015), the trees are joined with `atomicMin` where a face joins anything new (Playne and Hawick 2018), and every component
-//! has the smallest index of its cells as its root, whatever the order of the threads. Only quads at surfaces and walls do more than
-//! look at their neighbours' flags. Roots without a free-surface face are counted, and those without a face at a wall, a solid or a source
-//! (ballistic ones); unless there are any, nothing else is dispatched.
+//! **Labels.** Union-find over the faces with weight. Every cell first points to its neighbour below, which makes trees without atomics
+//! (Komura 2015). `atomicMin` then joins trees across faces between two of them (Playne and Hawick 2018). The root of a component is its
+//! smallest cell, for every order of the threads. Only quads at surfaces and walls do more than read their neighbours' flags. Roots without a
+//! free-surface face are counted, and those without a face at a wall, a solid or a source (ballistic ones). Without any of them nothing else
+//! is dispatched.
 //!
-//! **Means.** Sums over a component are integer sums of 96 bits, so a run repeats bit for bit, and as exact in f32 as in f64. They
-//! borrow buffers of the solve, which has not begun or is over when they are needed.
+//! **Means.** Sums over a component are integer sums of 96 bits, so a run repeats bitwise, and f32 is as exact as f64. They share buffers
+//! with the solve, which never runs at the same time.
 
 use crate::Error;
 use crate::fields::{CouplingBuffers, SolverBuffers};

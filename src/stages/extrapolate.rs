@@ -1,4 +1,4 @@
-//! `extrapolate`: velocities beyond the liquid, layer by layer, for the next advection. Domain walls are impermeable;
+//! `extrapolate`: velocities outside the liquid, layer by layer, for the next advection. Domain walls are impermeable;
 //! obstacles and solids have free slip relative to their velocity. Small-aperture faces contribute in proportion to
 //! their aperture. With a level the first layer continues the slope of the liquid.
 

@@ -1,8 +1,8 @@
 //! `liquid_components`: connected components of the liquid and their target volumes.
 //!
-//! Labels are found by union-find over the band, as in `closed_components`: the root of a component is its smallest cell,
-//! whatever the order of the threads. Sums over a component are integers of 64 bits at its root, so that a run repeats bit
-//! for bit.
+//! Labels are computed by union-find over the band, as in `closed_components`: the root of a component is its smallest
+//! cell, for every order of the threads. Sums over a component are integers of 64 bits at its root, so a run repeats
+//! bitwise.
 
 use crate::Error;
 use crate::fields::{ExchangeBuffers, LevelBuffers, LiquidBuffers, TILE};

@@ -2,9 +2,8 @@
 //! dx deep inside. The stage extends phi into solids as a mean over known neighbours and measures the enclosed
 //! volume.
 //!
-//! The minimum uses integer atomics on scattered values, so it is independent of the order. Only markers within two
-//! cells of an empty cell scatter, and only to cells that are not deep inside: the work is proportional to the
-//! surface.
+//! The minimum uses integer atomics on scattered values, so it is independent of the order. The work is proportional to
+//! the surface: only markers within two cells of an empty cell scatter, and only to cells that are not deep inside.
 //!
 //! With a level, phi is dx times the level, extended into solids.
 

@@ -1,5 +1,5 @@
-//! `marker_band`: keeps markers in a band of three cells below the surface. Markers below it are deleted; sites that enter it
-//! get a marker (see the twin, `reference/marker_band.rs`).
+//! `marker_band`: markers fill a band of three cells below the surface. Markers below it are deleted; sites that enter it get
+//! a marker (see the twin, `reference/marker_band.rs`).
 //!
 //! Seeds are appended to the used slots in the order of the cells: counts, a scan in one workgroup, and the write.
 

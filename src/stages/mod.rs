@@ -1,5 +1,5 @@
-//! The stages of the liquid on the GPU, one file each, named as in the list in [`crate`]; the pressure system and its
-//! solve are in [`crate::solver`]. Every kernel has an f64 twin in [`crate::reference`].
+//! The stages of the liquid on the GPU, one file each, named as in [`SCHEDULE`](crate::step::SCHEDULE). The pressure
+//! system and its solve are in [`crate::solver`]. Every kernel has an f64 twin in [`crate::reference`].
 //!
 //! A stage is a list of dispatches, recorded as one compute pass under the stage's name. Its kernels bind the arrays
 //! of [`crate::fields`] by the names of their variables.

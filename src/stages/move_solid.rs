@@ -1,4 +1,4 @@
-//! `move_solid`: x = x* + dt v. Nodes beyond a wall are projected onto it and lose their velocity into it.
+//! `move_solid`: x = x* + dt v. Nodes that penetrate a wall are projected onto it and lose their velocity into it.
 //!
 //! Nodes of free and hinged bodies move on circles. Walls do not stop prescribed components. The solve pushes nodes
 //! out of obstacles.

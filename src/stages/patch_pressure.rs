@@ -1,5 +1,5 @@
-//! The part of `right_hand_side` for solids in liquid that follows from how pressure varies within cells; the equation stands with the
-//! twin, `reference/patch_pressure.rs`.
+//! Part of `right_hand_side`: correction for the variation of pressure within cells, for solids in liquid. The twin,
+//! `reference/patch_pressure.rs`, has the equation.
 
 use crate::fields::{CouplingBuffers, Pair, SolidBuffers, SolidSystemBuffers, SolverBuffers};
 use crate::geometry::counting_sort;

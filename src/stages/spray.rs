@@ -1,4 +1,4 @@
-//! `spray`: which markers fly.
+//! `spray`: markers that fly as free bodies.
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers};
