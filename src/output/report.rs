@@ -1,6 +1,6 @@
 //! `report`: results of benches and runs in the folders below one, as one HTML page that needs nothing else.
 //!
-//! A folder is a section: where it was measured, from manifest.json or the tables' JSON, then its pictures, then its tables. Tables are those
+//! A folder is a section: conditions of the measurement from manifest.json or the tables' JSON, then pictures, then tables. Tables are those
 //! of the CSV files, number for number; nothing is computed here.
 
 use std::fs;

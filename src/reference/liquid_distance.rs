@@ -12,11 +12,10 @@
 //! ```
 //!
 //! A mean without slopes places the surface too high where more is open below a centre than above: films of a tenth of a
-//! cell would be up to half a cell above the level. Levels have smooth slopes: there, the 1 in the denominator is 0, and
-//! the result may leave the range by a cell. The 1 in the denominator is one open pair of slope 0: a few pairs alone
-//! measure the bumps of the spheres, not the surface. The limitation to the range prevents growth of noise from pass to
-//! pass. Two alternatives move water at rest by up to 76 g dt: a decision by markers in the cell, and a minimum over
-//! neighbours.
+//! cell would be up to half a cell above the level. The 1 in the denominator is one open pair of slope 0: a few pairs
+//! alone measure the bumps of the spheres, not the surface. Levels have smooth slopes: for them it is 0, and the result
+//! may leave the range by a cell. The limitation to the range prevents growth of noise from pass to pass. Two alternatives
+//! move water at rest by up to 76 g dt: a decision by markers in the cell, and a minimum over neighbours.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! `redistance`: makes the level a distance again, without moving the surface.
+//! `redistance`: restores the level to a distance, without moving the surface.
 //!
 //! An interface cell has a neighbour of the other sign. Its value does not change. Redistancing that moves the surface a little in
 //! every sub-step amplifies or damps small waves (Russo and Smereka 2000 fix this in part).

@@ -1,4 +1,4 @@
-//! Pressures and stresses as unknowns (thesis 5.3, after Robinson-Mosher and others 2011): K = G^T G, z = G v.
+//! Pressures and stresses as unknowns (thesis 5.3, after Robinson-Mosher et al. 2011): K = G^T G, z = G v.
 //!
 //! With D = zeta_M M and G scaled by the root of zeta_K, S = D + G^T G, and eliminating v leaves
 //!

@@ -1,8 +1,8 @@
 //! `time_step`: the largest sub-step that velocities, accelerations and frame times allow.
 //!
-//! A free surface that moves with the velocity of the sub-step before is stable while w dt < 2, w the frequency of its
-//! shortest waves. On a grid w^2 is at most a / dx times a number, which makes that dt sqrt(a / dx) < 0.97 in three
-//! dimensions. Near it a surface roughens.
+//! A free surface that moves with the velocity of the last sub-step is stable for w dt < 2, w the frequency of its
+//! shortest waves. On a grid w^2 is at most a constant times a / dx. In three dimensions this means dt sqrt(a / dx) <
+//! 0.97. Near this limit a surface roughens.
 
 use crate::elastic::Solids;
 use crate::scene::{Acceleration, Domain, SHORTEST_STEP, Scene, Surface};

@@ -1,4 +1,4 @@
-//! `redistance`: makes the level a distance again.
+//! `redistance`: restores the level to a distance.
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers};

@@ -4,9 +4,9 @@
 //! and its result is compared with the fields after it. So differences do not accumulate: each is the rounding of one stage. Its bound is k 2^-24
 //! times the size of the rounded number, for k roundings. A division counts as 5: WGSL allows 2.5 units in the last place.
 //!
-//! Some results jump: whether a marker is in one cell or the next, or a face near enough to an obstacle to slip. Where the paths decide differently,
-//! the input is moved by its rounding. If the twin then decides as the GPU did, the number is excused: counted, but not compared. Otherwise it
-//! is a breach. So are more than [`MOST_EXCUSED`] excuses in a row: rounding decides rarely, and a twin that is wrong everywhere must not pass.
+//! Some results are discontinuous, such as the cell of a marker near a grid plane. If they differ, the twin runs again with its input moved by its
+//! rounding. If it then has the GPU's result, the number is excused: counted, but not compared. Otherwise it is a breach. So are more than
+//! [`MOST_EXCUSED`] excused numbers in a row of the table: a twin that is wrong everywhere must not pass.
 
 mod liquid;
 mod solids;
