@@ -75,6 +75,14 @@ fn upwind(s: Slopes, way: vec4<f32>) -> vec4<f32> {
     return max(max(way * s.low, vec4<f32>()), -min(way * s.high, vec4<f32>()));
 }
 
+// Whether that slope is the one to a cell of a body. bodies: sides to such cells. axis: 0, 1 or 2.
+fn upwind_in_body(s: Slopes, way: vec4<f32>, bodies: u32, axis: u32) -> vec4<bool> {
+    let low = max(way * s.low, vec4<f32>());
+    let high = max(-way * s.high, vec4<f32>());
+    let side = select(side_lanes(bodies, 2u * axis + 1u), side_lanes(bodies, 2u * axis), low >= high);
+    return side & (max(low, high) > vec4<f32>());
+}
+
 fn lengths(x: vec4<f32>, y: vec4<f32>, z: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(length(vec3<f32>(x.x, y.x, z.x)), length(vec3<f32>(x.y, y.y, z.y)),
         length(vec3<f32>(x.z, y.z, z.z)), length(vec3<f32>(x.w, y.w, z.w)));
@@ -136,7 +144,9 @@ fn relax_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
         }
     }
     let of_bodies = solid_distance[min(quad, arrayLength(&solid_distance) - 1u)];
-    let hidden = (gradient < vec4<f32>(LEAST_SLOPE)) & (of_bodies < vec4<f32>(step.dx));
+    let bodies = sides & ~rooms_beside(quad);
+    let hidden = ((gradient < vec4<f32>(LEAST_SLOPE)) & (of_bodies < vec4<f32>(step.dx))) | upwind_in_body(along_x, way, bodies, 0u)
+        | upwind_in_body(along_y, way, bodies, 1u) | upwind_in_body(along_z, way, bodies, 2u);
     let away = select(phi, phi - STEP * way * (gradient - 1.0), near & !at_interface & !hidden);
     let relaxed = select(away, phi - STEP * (phi - phi / max(m, vec4<f32>(1e-9))), bit_lanes(changed));
     new_level[quad] = select(new_level[quad], relaxed, open_lanes);

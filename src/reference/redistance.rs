@@ -9,8 +9,10 @@
 //! (c) where |f| < 2.5, not at the interface:  f -= 0.4 sign(f) (|grad f| - 1)    Godunov's gradient, one step
 //! ```
 //!
-//! The level continues into bodies, while paths of D lead around them. So (b) does not change the level beside bodies, nor does (c) in
-//! cells at a body where |grad f| < 1/2. (c) is the relaxation of Sussman et al. (1994). An interface cell changes only if its gradient
+//! The level continues into bodies, while paths of D lead around them. So (b) does not change the level beside bodies. Nor does (c) in
+//! cells at a body where |grad f| < 1/2, or where a slope of Godunov's gradient is one to a cell of a body. That cell has the
+//! extension of its neighbour's own value: without this rule, differences from a plane grew by 1.4 in every sub-step, and water
+//! beside a floating ball reached 12 m/s. (c) is the relaxation of Sussman et al. (1994). An interface cell changes only if its gradient
 //! m is outside [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
 //! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where m is undefined.
 //!
@@ -106,6 +108,15 @@ fn slopes(cells: LevelCells, f: &[f64], cell: usize, axis: Axis) -> [f64; 2] {
     [f[cell] - f[minus], f[plus] - f[cell]]
 }
 
+/// Godunov's slope along an axis, at least 0, and whether it is that to a cell of a body. sign: -1 inside liquid, else 1.
+fn upwind(cells: LevelCells, f: &[f64], cell: usize, axis: Axis, sign: f64) -> (f64, bool) {
+    let [low, high] = slopes(cells, f, cell, axis).map(|slope| sign * slope);
+    let [low, high] = [low.max(0.0), (-high).max(0.0)];
+    let (slope, side) = if low >= high { (low, 0) } else { (high, 1) };
+    let body = !cells.is_open(cells.across(cell, axis)[side]);
+    (slope, body && slope > 0.0)
+}
+
 fn at_kink(cells: LevelCells, f: &[f64], cell: usize) -> bool {
     Axis::ALL.into_iter().any(|axis| {
         let [low, high] = slopes(cells, f, cell, axis);
@@ -122,13 +133,11 @@ fn relaxed(cells: LevelCells, f: &[f64], cell: usize) -> f64 {
     let inside = phi < 0.0;
     if !at_interface(cells, f, cell) {
         let sign = if inside { -1.0 } else { 1.0 };
-        let squares = Axis::ALL.map(|axis| {
-            let [low, high] = slopes(cells, f, cell, axis).map(|slope| sign * slope);
-            low.max(0.0).powi(2).max(high.min(0.0).powi(2))
-        });
-        let gradient = squares.iter().sum::<f64>().sqrt();
-        let hidden = gradient < LEAST_SLOPE && cells.cut.solid_distance[cell] < cells.grid.dx;
-        return match hidden {
+        let upwind = Axis::ALL.map(|axis| upwind(cells, f, cell, axis, sign));
+        let gradient = upwind.iter().map(|(slope, _)| slope * slope).sum::<f64>().sqrt();
+        let through_body = upwind.iter().any(|(_, through_body)| *through_body);
+        let behind_body = gradient < LEAST_SLOPE && cells.cut.solid_distance[cell] < cells.grid.dx;
+        return match through_body || behind_body {
             true => phi,
             false => phi - STEP * sign * (gradient - 1.0),
         };
