@@ -28,7 +28,7 @@ fn extend_into_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(loca
     for (var cell = first; cell < first + 4u; cell++) {
         var phi = distance_in[cell];
         if phi >= UNKNOWN {
-            phi = from_neighbours(cell);
+            phi = from_neighbours(cell, false);
         }
         distance_out[cell] = phi;
     }

@@ -28,7 +28,11 @@ fn extend_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     for (var cell = first; cell < first + 4u; cell++) {
         var phi = distance_in[cell];
         if phi >= UNKNOWN {
-            phi = from_neighbours(cell);
+            phi = from_neighbours(cell, false);
+        }
+        // Transport and volumes interpolate between cells on both sides of closed faces.
+        if phi >= UNKNOWN {
+            phi = from_neighbours(cell, true);
         }
         distance_out[cell] = phi;
     }

@@ -31,8 +31,8 @@ const LEAST_GRADIENT = 0.7;
 const LARGEST_GRADIENT = 1.4;
 // Slope below which the interface is hidden behind a body.
 const LEAST_SLOPE = 0.5;
-// Steepness of both sides of a kink.
-const KINK = 0.1;
+// Steepness of both sides of a kink, and of a slope to a cell of a body that counts.
+const STEEP = 0.1;
 
 fn values(quad: u32) -> vec4<f32> {
     return select(vec4<f32>(REACH), mixed[quad], band_flags[quad] != 0u);
@@ -48,7 +48,7 @@ fn at_kink(cell: u32) -> bool {
     for (var axis = 0u; axis < 3u; axis++) {
         let low = here - value(across(cell, axis, 0u));
         let high = value(across(cell, axis, 1u)) - here;
-        found |= low * high < 0.0 && min(abs(low), abs(high)) > KINK;
+        found |= low * high < 0.0 && min(abs(low), abs(high)) > STEEP;
     }
     return found;
 }
@@ -60,7 +60,7 @@ struct Slopes {
 }
 
 fn kinks(s: Slopes) -> vec4<bool> {
-    return (s.low * s.high < vec4<f32>()) & (min(abs(s.low), abs(s.high)) > vec4<f32>(KINK));
+    return (s.low * s.high < vec4<f32>()) & (min(abs(s.low), abs(s.high)) > vec4<f32>(STEEP));
 }
 
 // The slope along an axis for |grad f|: the central one where both one-sided ones agree in sign, else the largest.
@@ -75,12 +75,12 @@ fn upwind(s: Slopes, way: vec4<f32>) -> vec4<f32> {
     return max(max(way * s.low, vec4<f32>()), -min(way * s.high, vec4<f32>()));
 }
 
-// Whether that slope is the one to a cell of a body. bodies: sides to such cells. axis: 0, 1 or 2.
+// Whether that slope is a steep one to a cell of a body. bodies: sides to such cells. axis: 0, 1 or 2.
 fn upwind_in_body(s: Slopes, way: vec4<f32>, bodies: u32, axis: u32) -> vec4<bool> {
     let low = max(way * s.low, vec4<f32>());
     let high = max(-way * s.high, vec4<f32>());
     let side = select(side_lanes(bodies, 2u * axis + 1u), side_lanes(bodies, 2u * axis), low >= high);
-    return side & (max(low, high) > vec4<f32>());
+    return side & (max(low, high) > vec4<f32>(STEEP));
 }
 
 fn lengths(x: vec4<f32>, y: vec4<f32>, z: vec4<f32>) -> vec4<f32> {

@@ -5,10 +5,16 @@
 //! too: a sub-step may cross cfl cells along each axis at once. Faces beyond all layers are 0, and so are domain walls
 //! except open sides.
 //!
-//! With a level, faces in the first layer continue the slope of the liquid. A valid neighbour beside them contributes
-//! `u1 + minmod(u1 - u2, u2 - u3)`, each difference at most dx / (2 dt). u1, u2, u3 are valid faces in a row, u1 next to
-//! the face. A constant extension lets a wave of 20 cells lose four times as much; an unlimited slope doubles the energy
-//! of a splash.
+//! With a level, faces in the first layer continue the slope of the liquid. A valid neighbour beside them contributes u1
+//! plus the slope that the monotonised central limiter (van Leer 1977) makes of the valid faces u1, u2, u3 in a row, u1 next
+//! to the face:
+//!
+//! ```text
+//! sign(a) min((|a| + |b|) / 2, 2 |a|, 2 |b|, dx / (2 dt))     a = u1 - u2 and b = u2 - u3 of the same sign, else 0
+//! ```
+//!
+//! A constant extension lets a wave of 20 cells lose four times as much, and min(|a|, |b|) makes its period 2.3 % too long.
+//! With a parabola waves of 28 cells grow, and an unlimited slope doubles the energy of a splash.
 //!
 //! Small-aperture faces contribute blended velocities ([`super::slivers`]) and recover their own afterwards.
 //!
@@ -114,8 +120,7 @@ pub fn extrapolate_one_sided(
     }
 }
 
-/// Difference of u1 + minmod(u1 - u2, u2 - u3) from u1, the value of the neighbour `at` of the face `ijk`; 0 without valid
-/// faces in a row.
+/// Limited slope beyond the neighbour `at` of the face `ijk`; 0 without valid faces in a row.
 fn slope(grid: &Grid, axis: Axis, valid: &[bool], values: &[f64], [ijk, at]: [[usize; 3]; 2], largest: f64) -> f64 {
     let n = grid.faces(axis);
     let behind = |steps: usize| {
@@ -129,9 +134,14 @@ fn slope(grid: &Grid, axis: Axis, valid: &[bool], values: &[f64], [ijk, at]: [[u
     };
     let (near, far) = (first - second, second - third);
     match near * far > 0.0 {
-        true => near.signum() * near.abs().min(far.abs()).min(largest),
+        true => near.signum() * limited(near.abs(), far.abs()).min(largest),
         false => 0.0,
     }
+}
+
+/// The monotonised central limiter of two slopes of the same sign.
+fn limited(near: f64, far: f64) -> f64 {
+    (0.5 * (near + far)).min(2.0 * near.min(far))
 }
 
 fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, (layers, largest): (usize, f64), values: &mut [f64]) {

@@ -14,7 +14,9 @@
 //! A mean without slopes places the surface too high where more is open below a centre than above: films of a tenth of a
 //! cell would be up to half a cell above the level. The 1 in the denominator is one open pair of slope 0: a few pairs
 //! alone measure the bumps of the spheres, not the surface. Levels have smooth slopes: for them it is 0, and the result
-//! may leave the range by a cell. The limitation to the range prevents growth of noise from pass to pass. Two alternatives
+//! may leave the range by a cell. Cells of bodies that no open face leads to take a level over closed faces, all with w = 1:
+//! transport and volumes interpolate between centres on both sides of a face. With air there, every sub-step removed liquid beside
+//! moving bodies. The limitation to the range prevents growth of noise from pass to pass. Two alternatives
 //! move water at rest by up to 76 g dt: a decision by markers in the cell, and a minimum over neighbours.
 
 use glam::{DVec3, IVec3};
@@ -31,7 +33,7 @@ const EXTENSION_PASSES: usize = 3;
 /// phi per cell (m) from markers (m) with spheres of `radius` (m), extended into the obstacles.
 pub fn liquid_distance(grid: &Grid, cut: &CutCells, markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let mut phi = union_of_spheres(grid, &cut.solid_distance, markers, radius);
-    let rule = Extension { flat_pairs: 1.0, overshoot: 0.0, air: grid.dx };
+    let rule = Extension { flat_pairs: 1.0, overshoot: 0.0, through_closed: false, air: grid.dx };
     extend(grid, cut, rule, &mut phi);
     phi
 }
@@ -65,13 +67,15 @@ struct Extension {
     flat_pairs: f64,
     /// Distance beyond the range of the neighbours, in units of phi.
     overshoot: f64,
+    /// Whether closed faces count as open, all with aperture 1, where no open face leads to a known cell.
+    through_closed: bool,
     /// Value of cells that no pass reaches.
     air: f64,
 }
 
 /// Extends a level (cells) into obstacles, with its slope: it has no bumps.
 pub fn extend_level(grid: &Grid, cut: &CutCells, level: &mut [f64]) {
-    let rule = Extension { flat_pairs: 0.0, overshoot: 1.0, air: 1.0 };
+    let rule = Extension { flat_pairs: 0.0, overshoot: 1.0, through_closed: true, air: 1.0 };
     extend(grid, cut, rule, level);
 }
 
@@ -81,8 +85,11 @@ fn extend(grid: &Grid, cut: &CutCells, rule: Extension, phi: &mut [f64]) {
     let mut known: Vec<bool> = cut.solid_distance.iter().map(outside).collect();
     let mut unknown: Vec<usize> = (0..phi.len()).filter(|&cell| !known[cell]).collect();
     for _ in 0..EXTENSION_PASSES {
-        let values: Vec<_> =
-            unknown.par_iter().map(|&cell| from_neighbours(grid, cut, rule, phi, &known, cell)).collect();
+        let value = |&cell: &usize| {
+            let through = |closed: bool| from_neighbours(grid, cut, rule, phi, &known, cell, closed);
+            through(false).or_else(|| rule.through_closed.then(|| through(true)).flatten())
+        };
+        let values: Vec<_> = unknown.par_iter().map(value).collect();
         for (&cell, value) in unknown.iter().zip(&values) {
             if let Some(value) = *value {
                 phi[cell] = value;
@@ -103,19 +110,20 @@ struct Neighbour {
     open: f64,
 }
 
-/// The known cells across the open faces of a cell.
+/// The known cells across the open faces of a cell; with `closed` across all, with aperture 1.
 fn neighbours<'a>(
     grid: &'a Grid,
     cut: &'a CutCells,
     known: &'a [bool],
     cell: usize,
+    closed: bool,
 ) -> impl Iterator<Item = Neighbour> + 'a {
     let faces = Axis::ALL.into_iter().flat_map(|axis| [0, 1].map(|side| (axis, side)));
     faces.filter_map(move |(axis, side)| {
         let mut face = grid.cell_at(cell);
         face[axis.index()] += side;
         let neighbour = grid.face_sides(axis, face)[side].filter(|&cell| known[cell])?;
-        let open = cut.open[axis.index()][grid.face(axis, face)];
+        let open = if closed { 1.0 } else { cut.open[axis.index()][grid.face(axis, face)] };
         (open > 0.0).then_some(Neighbour {
             cell: neighbour,
             axis: axis.index(),
@@ -133,11 +141,12 @@ fn from_neighbours(
     phi: &[f64],
     known: &[bool],
     cell: usize,
+    closed: bool,
 ) -> Option<f64> {
-    let near: Vec<Neighbour> = neighbours(grid, cut, known, cell).collect();
+    let near: Vec<Neighbour> = neighbours(grid, cut, known, cell, closed).collect();
     let [mut slope, mut pairs] = [[0.0; 3]; 2];
     for n in &near {
-        for m in neighbours(grid, cut, known, n.cell) {
+        for m in neighbours(grid, cut, known, n.cell, false) {
             let weight = n.open * m.open;
             slope[m.axis] += weight * m.way * (phi[m.cell] - phi[n.cell]);
             pairs[m.axis] += weight;

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! The level continues into bodies, while paths of D lead around them. So (b) does not change the level beside bodies. Nor does (c) in
-//! cells at a body where |grad f| < 1/2, or where a slope of Godunov's gradient is one to a cell of a body. That cell has the
+//! cells at a body where |grad f| < 1/2, or where a slope of Godunov's gradient is one to a cell of a body, and above 0.1. That cell has the
 //! extension of its neighbour's own value: without this rule, differences from a plane grew by 1.4 in every sub-step, and water
 //! beside a floating ball reached 12 m/s. (c) is the relaxation of Sussman et al. (1994). An interface cell changes only if its gradient
 //! m is outside [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
@@ -36,8 +36,8 @@ const STEP: f64 = 0.4;
 const GRADIENTS: [f64; 2] = [0.7, 1.4];
 /// Slope below which the interface is hidden behind a body.
 const LEAST_SLOPE: f64 = 0.5;
-/// Steepness of both sides of a kink.
-const KINK: f64 = 0.1;
+/// Steepness of both sides of a kink, and of a slope to a cell of a body that counts.
+const STEEP: f64 = 0.1;
 
 /// The redistanced level, cells.
 pub fn redistance(cells: LevelCells, level: &[f64]) -> Vec<f64> {
@@ -108,19 +108,19 @@ fn slopes(cells: LevelCells, f: &[f64], cell: usize, axis: Axis) -> [f64; 2] {
     [f[cell] - f[minus], f[plus] - f[cell]]
 }
 
-/// Godunov's slope along an axis, at least 0, and whether it is that to a cell of a body. sign: -1 inside liquid, else 1.
+/// Godunov's slope along an axis, at least 0, and whether it is a steep one to a cell of a body. sign: -1 inside liquid, else 1.
 fn upwind(cells: LevelCells, f: &[f64], cell: usize, axis: Axis, sign: f64) -> (f64, bool) {
     let [low, high] = slopes(cells, f, cell, axis).map(|slope| sign * slope);
     let [low, high] = [low.max(0.0), (-high).max(0.0)];
     let (slope, side) = if low >= high { (low, 0) } else { (high, 1) };
     let body = !cells.is_open(cells.across(cell, axis)[side]);
-    (slope, body && slope > 0.0)
+    (slope, body && slope > STEEP)
 }
 
 fn at_kink(cells: LevelCells, f: &[f64], cell: usize) -> bool {
     Axis::ALL.into_iter().any(|axis| {
         let [low, high] = slopes(cells, f, cell, axis);
-        low * high < 0.0 && low.abs().min(high.abs()) > KINK
+        low * high < 0.0 && low.abs().min(high.abs()) > STEEP
     })
 }
 

@@ -409,6 +409,7 @@ fn assert_planned(name: &str, scene: &Scene) {
         }
         // Their number is an estimate.
         sums.remove("liquid.markers");
+        sums.remove("level.marker_velocity");
         sums
     };
     let mut simulation = on_gpu(scene);

@@ -132,7 +132,7 @@ fn a_resumed_run_refuses_edits_by_their_keys() {
         ("--set time.cfl=2", "time.cfl is new: 2"),
         ("--without obstacle", "obstacle[0].box.max was [0.7, 0.1, 0.2] and is gone"),
         ("--set output.solids=false", "frames 0 to 2 were written with output.solids"),
-        ("--set output.fields=true", "frames 0 to 2 were written without output.fields"),
+        ("--set output.surface=true", "frames 0 to 2 were written without output.surface"),
         ("--set time.duration=0.04 --frames 1", "2 frames"),
     ] {
         let message = refusal(

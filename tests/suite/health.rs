@@ -12,7 +12,7 @@ use tempfile::TempDir;
 use crate::cli::{cutwater, ends, text};
 
 /// A cube as heavy as water under 6 to 18 cm of it, of E = 3 kPa: below 2 rho g h. It turns inside out within 0.3 s.
-const SOFT: &str = "[domain]\nsize = [0.6, 0.4, 0.6]\ncells = [15, 10, 15]\n[time]\nduration = 1.2\nframes_per_second = 30\n\
+const SOFT: &str = "[domain]\nsize = [0.6, 0.4, 0.6]\ncells = [15, 10, 15]\n[time]\nduration = 1.2\nframes_per_second = 30\n[liquid]\nsurface = \"markers\"\n\
     [[liquid.region]]\nbox = { min = [0, 0, 0], max = [0.6, 0.24, 0.6] }\n\
     [[solid]]\nname = \"jelly\"\nmesh = { box = { size = [0.12, 0.12, 0.12], cells = [4, 4, 4] } }\n\
     placement = { translate = [0.3, 0.12, 0.3] }\ndensity = 1000\nyoung = 3e3\npoisson = 0.45\n";

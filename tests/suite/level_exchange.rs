@@ -231,7 +231,7 @@ fn the_exchange_of_a_level_has_kernels_and_arrays_only_where_it_is() {
     let plain = plan(POOL);
     let [source, sink] = [TAP, "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n"]
         .map(|rest| plan(&format!("{POOL}{rest}")));
-    let markers = plan(&format!("{POOL}{TAP}").replace("surface = \"level\"\n", ""));
+    let markers = plan(&format!("{POOL}{TAP}").replace("\"level\"", "\"markers\""));
     for (plan, has_sources, has_sinks) in
         [(&plain, false, false), (&source, true, false), (&sink, false, true), (&markers, false, false)]
     {

@@ -94,7 +94,7 @@ damping = { stiffness = 0.01 }";
     let bar = [[-0.1, 0.53, 0.83], [1.1, 0.71, 0.95]];
     let fixed = "surface = \"fixed\"\n[[liquid.region]]\nhalf_space = { point = [0, 0.57, 0], normal = [0.1, 1, 0.05] }\nvelocity = [0.5, 0.2, -0.3]";
     let full = "surface = \"fixed\"\n[[liquid.region]]\nhalf_space = { point = [0, 2, 0], normal = [0, 1, 0] }";
-    let markers = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [0.6, 0.8, 1] }";
+    let markers = "surface = \"markers\"\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [0.6, 0.8, 1] }";
     vec![
         case("a ball in the surface", tank(fixed, ball), &[post, bar], true),
         case("a ball in a full tank", tank(full, ball), &[post], true),

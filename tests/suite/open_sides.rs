@@ -54,7 +54,7 @@ fn what_is_no_set_of_sides_is_refused() {
         ("\"+x\"", liquid, 4, "domain.open", "write a list, such as [\"+x\"]"),
         ("[1]", liquid, 4, "domain.open[0]", "\"-x\""),
         ("[\"+x\"]", solid, 4, "domain.open", "[liquid]"),
-        ("[\"+x\"]", fixed.as_str(), 9, "liquid.surface", "markers"),
+        ("[\"+x\"]", fixed.as_str(), 9, "liquid.surface", "remove the line"),
     ] {
         let refused = parse([8, 8, 8], open, rest).unwrap_err();
         let text = refused.to_string();
@@ -260,7 +260,7 @@ fn what_is_sucked_in_brings_no_energy() {
     let gains = ["[]", "[\"-x\"]"].map(|open| {
         let text = format!(
             "[domain]\nsize = [1.0, 0.5, 0.5]\ncells = [24, 12, 12]\ngravity = [6.0, -2.0, 0.0]\nopen = {open}\n\
-             [time]\nduration = 1.0\n[[liquid.region]]\n\
+             [time]\nduration = 1.0\n[liquid]\nsurface = \"markers\"\n[[liquid.region]]\n\
              box = {{ min = [0.0, 0.0, 0.0], max = [0.5, 0.35, 0.5] }}\nvelocity = [0.5, 0.0, 0.0]\n"
         );
         let scene = Scene::parse(Path::new("test.toml"), &text, &[], 1.0).unwrap();
@@ -311,7 +311,7 @@ fn runs_with_open_sides_repeat_and_go_on_from_a_state() {
 #[test]
 fn open_sides_allocate_and_compile_nothing() {
     let plan = |open: &str| {
-        let rest = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.5, 0.5, 1.0] }\n";
+        let rest = "[liquid]\nsurface = \"markers\"\n[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.5, 0.5, 1.0] }\n";
         Plan::new(&scene([40, 32, 2], open, rest), None).unwrap()
     };
     let [closed, open] = ["[]", "[\"+x\"]"].map(plan);

@@ -193,7 +193,7 @@ pub(crate) fn dam_release_error(grid: &Grid, pressure: &[f64]) -> f64 {
     largest
 }
 
-pub(crate) const DAM: &str = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.375, 0.5, 0.25] }\n\
+pub(crate) const DAM: &str = "surface = \"markers\"\n[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.375, 0.5, 0.25] }\n\
                    [[obstacle]]\ncylinder = { base = [0.7, 0.0, 0.125], axis = [0, 1, 0], radius = 0.06, height = 0.3 }\n";
 
 #[test]
@@ -257,7 +257,7 @@ fn a_run_repeats_bit_for_bit_whatever_the_number_of_threads() {
 #[test]
 fn markers_at_rest_start_slowly() {
     // F1 with markers: the bumps of the spheres start currents, slower than what falls freely for a step.
-    let level = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [1.0, 0.5, 1.0] }\n";
+    let level = "surface = \"markers\"\n[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [1.0, 0.5, 1.0] }\n";
     let mut reference = start(&scene([16, 16, 16], level));
     let (report, liquid) = step(&mut reference);
     let fall = GRAVITY * report.dt;
@@ -274,7 +274,7 @@ fn markers_at_rest_start_slowly() {
 pub(crate) fn free_flight(region: &str, cfl: f64) -> Scene {
     let velocity = [cfl; 3];
     let region = format!("[[liquid.region]]\n{region}\nvelocity = {velocity:?}\n");
-    let mut scene = scene([24, 24, 24], &format!("volume_control = false\n{region}"));
+    let mut scene = scene([24, 24, 24], &format!("surface = \"markers\"\nvolume_control = false\n{region}"));
     scene.domain.gravity = DVec3::ZERO;
     scene.time.cfl = cfl;
     scene

@@ -1,4 +1,4 @@
-//! Sources and sinks: what comes in, what goes out, what is left.
+//! Sources and sinks with markers: what comes in, what goes out, what is left. With a level: `level_exchange`.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -116,7 +116,7 @@ fn a_source_emits_its_speed_times_its_projected_area() {
         for (shape, known) in &shapes {
             for way in [[0.0, -1.5, 0.0], [1.5, 0.0, 0.0], [1.5, -1.5, 0.0], [0.3, 1.1, -0.7]] {
                 let text = format!(
-                    "[domain]\nsize = [0.4, 0.6, 0.4]\ncells = [20, 30, 20]\n[time]\nduration = 1.0\n[liquid]\n[[source]]\n{shape}\nvelocity = {way:?}\n"
+                    "[domain]\nsize = [0.4, 0.6, 0.4]\ncells = [20, 30, 20]\n[time]\nduration = 1.0\n[liquid]\nsurface = \"markers\"\n[[source]]\n{shape}\nvelocity = {way:?}\n"
                 );
                 let scene = Scene::parse(Path::new("taps.toml"), &text, &[], scale).unwrap();
                 let [flow] = Plan::new(&scene, None).unwrap().sources[..] else {
@@ -142,7 +142,7 @@ fn a_source_emits_its_speed_times_its_projected_area() {
 #[test]
 fn a_round_tap_emits_alike_at_every_scale() {
     for scale in [0.7, 1.0, 1.2, 1.5, 2.0] {
-        let text = "[domain]\nsize = [0.4, 0.6, 0.4]\ncells = [20, 30, 20]\n[time]\nduration = 0.1667\nframes_per_second = 30\n[liquid]\n\
+        let text = "[domain]\nsize = [0.4, 0.6, 0.4]\ncells = [20, 30, 20]\n[time]\nduration = 0.1667\nframes_per_second = 30\n[liquid]\nsurface = \"markers\"\n\
                     [[source]]\ncylinder = { base = [0.2, 0.5, 0.2], axis = [0, -1, 0], radius = 0.03, height = 0.05 }\nvelocity = [0, -1.5, 0]\n";
         let scene = Scene::parse(Path::new("tap.toml"), text, &[], scale).unwrap();
         let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
@@ -173,7 +173,7 @@ fn a_round_tap_emits_alike_at_every_scale() {
 fn a_flow_rate_is_what_comes_out() {
     let source = |rest: &str| {
         let text = format!(
-            "[liquid]\n{POOL}[[source]]\nbox = {{ min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }}\n{rest}"
+            "[liquid]\nsurface = \"markers\"\n{POOL}[[source]]\nbox = {{ min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }}\n{rest}"
         );
         parse(&text).unwrap()
     };
@@ -206,7 +206,7 @@ fn a_flow_rate_is_what_comes_out() {
 #[test]
 fn a_source_fills_a_tank_at_the_rate_it_says() {
     let Some(_) = gpu() else { return };
-    let mut scene = parse(&format!("[liquid]\n{TAP}")).unwrap();
+    let mut scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{TAP}")).unwrap();
     scene.time.duration = 2.0;
     let mut simulation = on_gpu(&scene);
     assert!(simulation.state().unwrap().markers.is_empty());
@@ -239,7 +239,7 @@ fn a_source_fills_a_tank_at_the_rate_it_says() {
 #[test]
 fn sources_keep_their_times() {
     let Some(_) = gpu() else { return };
-    let scene = parse(&format!("[liquid]\n{POOL}{TAP}start = 0.25\nend = 0.5\n")).unwrap();
+    let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}start = 0.25\nend = 0.5\n")).unwrap();
     let mut simulation = on_gpu(&scene);
     let start = simulation.state().unwrap();
     let before = run(&mut simulation, 6, |_| {});
@@ -261,7 +261,7 @@ fn a_source_in_a_full_vessel_is_told() {
                  placement = { translate = [0.35, 0.3, 0.125] }\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n";
     let scene = |level: f64, solid: &str| {
         parse(&format!(
-            "[liquid]\n[[liquid.region]]\nhalf_space = {{ point = [0.0, {level}, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
+            "[liquid]\nsurface = \"markers\"\n[[liquid.region]]\nhalf_space = {{ point = [0.0, {level}, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
              [[source]]\nbox = {{ min = [0.125, 0.0625, 0.0625], max = [0.25, 0.125, 0.1875] }}\nvelocity = [1.0, 0.0, 0.0]\n{solid}"
         ))
         .unwrap()
@@ -296,7 +296,7 @@ fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
             )
         };
         parse(&format!(
-            "[liquid]\n[[liquid.region]]\nhalf_space = {{ point = [0.0, 1.0, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
+            "[liquid]\nsurface = \"markers\"\n[[liquid.region]]\nhalf_space = {{ point = [0.0, 1.0, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
              [[source]]\nbox = {{ min = [0.125, 0.0625, 0.0625], max = [0.25, 0.125, 0.1875] }}\nvelocity = [1.0, 0.0, 0.0]\n\
              [[solid]]\nname = \"block\"\nmesh = {{ box = {{ size = [0.125, 0.125, 0.125], cells = [1, 1, 1] }} }}\n\
              placement = {{ translate = [0.35, 0.3, 0.125] }}\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n{}{}",
@@ -326,7 +326,7 @@ fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
 fn what_moves_away_takes_no_cells_of_a_source() {
     let gate = "[[obstacle]]\nbox = { min = [0.1875, 0.34375, 0.03125], max = [0.28125, 0.5, 0.21875] }\n\
                 keyframes = [{ t = 0 }, { t = 0.1, translate = [0.2, 0, 0] }]\n";
-    let scene = parse(&format!("[liquid]\n{POOL}{TAP}{gate}")).unwrap();
+    let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}{gate}")).unwrap();
     let mut backends = vec![Backend::Cpu];
     if gpu().is_some() {
         backends.push(Backend::Gpu(AdapterChoice::Best));
@@ -348,7 +348,7 @@ fn what_moves_away_takes_no_cells_of_a_source() {
 fn what_a_gate_covers_gets_no_markers() {
     let gate = "[[obstacle]]\nbox = { min = [0.28125, 0.34375, 0.03125], max = [0.46875, 0.5, 0.21875] }\n\
                 keyframes = [{ t = 0 }, { t = 0.05, translate = [-0.1875, 0, 0] }, { t = 0.15, translate = [-0.1875, 0, 0] }, { t = 0.2 }]\n";
-    let scene = parse(&format!("[liquid]\n{POOL}{TAP}{gate}")).unwrap();
+    let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}{gate}")).unwrap();
     let mut backends = vec![Backend::Cpu];
     backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
     for backend in backends {
@@ -377,7 +377,7 @@ fn what_a_gate_covers_gets_no_markers() {
 fn a_fountain_comes_to_a_steady_volume() {
     let Some(_) = gpu() else { return };
     let sink = "[[sink]]\nbox = { min = [0.4375, 0.125, 0.0], max = [0.5, 0.1875, 0.25] }\n";
-    let scene = parse(&format!("[liquid]\n{POOL}{TAP}{sink}")).unwrap();
+    let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}{sink}")).unwrap();
     for backend in [Backend::Gpu(AdapterChoice::Best), Backend::Cpu] {
         let frames = match backend {
             Backend::Gpu(_) => 96,
@@ -421,7 +421,7 @@ fn a_fountain_comes_to_a_steady_volume() {
 fn runs_with_sources_and_sinks_repeat_and_go_on_from_a_state() {
     let Some(_) = gpu() else { return };
     let sink = "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n";
-    let scene = parse(&format!("[liquid]\n{POOL}{TAP}start = 0.05\n{sink}")).unwrap();
+    let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}start = 0.05\n{sink}")).unwrap();
     let mut simulation = on_gpu(&scene);
     let start = simulation.state().unwrap();
     run(&mut simulation, 4, |_| {});
@@ -444,7 +444,9 @@ fn runs_with_sources_and_sinks_repeat_and_go_on_from_a_state() {
 #[test]
 fn taps_take_room_and_kernels_only_where_they_are() {
     let sink = "[[sink]]\nsphere = { centre = [0.4, 0.06, 0.12], radius = 0.06 }\n";
-    let plan = |rest: &str| Plan::new(&parse(&format!("[liquid]\n{POOL}{rest}")).unwrap(), None).unwrap();
+    let plan = |rest: &str| {
+        Plan::new(&parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{rest}")).unwrap(), None).unwrap()
+    };
     let [none, source, drain] = ["", TAP, sink].map(plan);
     for (plan, sources, sinks) in [(&none, false, false), (&source, true, false), (&drain, false, true)] {
         let has = |label: &str| plan.buffers.iter().any(|buffer| buffer.label.starts_with(label));

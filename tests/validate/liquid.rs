@@ -425,7 +425,7 @@ fn collapsing_column(sheet: &mut Sheet) {
 }
 
 fn free_fall(sheet: &mut Sheet) {
-    let text = "[domain]\nsize = [1, 1, 1]\ncells = [32, 32, 32]\n[time]\nduration = 1\n[liquid]\nvolume_control = false\n\
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [32, 32, 32]\n[time]\nduration = 1\n[liquid]\nsurface = \"markers\"\nvolume_control = false\n\
                 [[liquid.region]]\nsphere = { centre = [0.3, 0.7, 0.3], radius = 0.15 }\nvelocity = [1.5, 0.5, 1.5]\n";
     let mut simulation = simulation(&written(text), &gpu());
     let start = middle(&simulation);
