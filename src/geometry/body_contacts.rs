@@ -1,19 +1,18 @@
 //! Contact candidates between surfaces of different bodies: nodes beside faces, and edges beside edges.
 //!
-//! A node has the nearest point of the other surface. Two edges that cross have their nearest points, where these are
-//! local minima of the distance between the surfaces. Edges between nearly coplanar faces have none of their own: nodes
-//! beside faces represent them.
+//! A pair is a local minimum of the distance between the surfaces: a node has the nearest point of the other surface, two convex edges that
+//! cross have theirs. The normal lies in the normal cones of both surfaces, to a slack. So a node beside the edge of a body that slides over it
+//! has no pair. Edges between nearly coplanar faces have none of their own: nodes beside faces represent them.
 //!
 //! Continuous collision detection ([`contact_hits`]) finds the nodes that cross faces, and the edges that cross edges, in a motion along
 //! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997).
 
-use std::collections::BTreeSet;
 use std::ops::Range;
 
 use glam::DVec3;
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy};
-use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
 
@@ -27,8 +26,12 @@ const PARALLEL: f64 = 1e-4;
 const NO_DIRECTION: f64 = 1e-9;
 /// Halvings of an interval in the search for a root.
 const BISECTIONS: u32 = 50;
-/// Slack of the local minimum: sine of an angle.
+/// Slack of the local minimum between edges: sine of an angle.
 const SLACK: f64 = 1e-2;
+/// The same for a node: below it flat edges at the node do not matter.
+const NODE_SLACK: f64 = 0.15;
+/// The same for a node beside the inside of a face: surfaces may be inclined to each other.
+const FACE_SLACK: f64 = 0.5;
 
 /// Two points of different bodies that may touch.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,12 +54,15 @@ struct Edge {
     inwards: [DVec3; 2],
 }
 
+/// Nodes of a surface, ascending, each with its neighbours along the surface.
+type Nodes = Vec<(u32, Vec<u32>)>;
+
 /// Surface of a body.
 struct Skin {
     mesh: TriMesh,
-    /// Node of each vertex of the mesh, ascending.
-    nodes: Vec<u32>,
-    /// Edges that are not flat.
+    /// Of the vertices of the mesh.
+    nodes: Nodes,
+    /// Convex edges.
     edges: Vec<Edge>,
     low: DVec3,
     high: DVec3,
@@ -65,10 +71,9 @@ struct Skin {
 impl Skin {
     /// `positions` of all nodes, m; `triangles` counter-clockwise from outside.
     fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Skin> {
-        let nodes: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
-        let nodes: Vec<u32> = nodes.into_iter().collect();
-        let vertices: Vec<DVec3> = nodes.iter().map(|&node| positions[node as usize]).collect();
-        let local = |node: u32| nodes.partition_point(|&other| other < node) as u32;
+        let nodes = nodes_of(triangles);
+        let vertices: Vec<DVec3> = nodes.iter().map(|(node, _)| positions[*node as usize]).collect();
+        let local = |node: u32| nodes.partition_point(|(other, _)| *other < node) as u32;
         let faces = triangles.iter().map(|triangle| triangle.map(local)).collect();
         let [low, high] = super::bounds(vertices.iter().copied());
         let mesh = TriMesh::with_flags(vertices, faces, TriMeshFlags::ORIENTED).ok()?;
@@ -81,22 +86,45 @@ impl Skin {
         low.cmple(self.high + reach).all() && high.cmpge(self.low - reach).all()
     }
 
-    /// The pair of a node (m) of another body and the nearest point of this surface within `reach` (m).
-    fn beside(&self, node: u32, x: DVec3, reach: f64) -> Option<ContactPair> {
+    /// The pair of a node of another body and the nearest point of this surface within `reach` (m), unless the node is outside and neighbours
+    /// of it are nearer.
+    fn beside(&self, (node, neighbours): &(u32, Vec<u32>), positions: &[DVec3], reach: f64) -> Option<ContactPair> {
         let mesh = &self.mesh;
+        let x = positions[*node as usize];
         let (nearest, (face, at)) = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach)?;
         let weights = at.barycentric_coordinates()?;
         let sign = if nearest.is_inside { -1.0 } else { 1.0 };
         let (arm, distance) = (x - nearest.point, x.distance(nearest.point));
+        let across = mesh.triangle(face).normal()?;
         let normal = match distance > NO_DIRECTION * reach {
             true => sign / distance * arm,
-            false => mesh.triangle(face).normal()?,
+            false => across,
         };
-        let corners = mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize]);
+        let slack = if normal.dot(across) >= FLAT { FACE_SLACK } else { NODE_SLACK };
+        let mut neighbours = neighbours.iter().map(|&other| positions[other as usize]);
+        if !nearest.is_inside && !is_foremost(x, &mut neighbours, -normal, slack) {
+            return None;
+        }
+        let corners = mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize].0);
         let others = corners.into_iter().zip(weights.map(|weight| -weight));
-        let points = others.chain([(node, 1.0)]);
+        let points = others.chain([(*node, 1.0)]);
         Some(ContactPair::new(points, normal, sign * distance))
     }
+}
+
+/// Nodes of triangles.
+fn nodes_of(triangles: &[[u32; 3]]) -> Nodes {
+    let sides = triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)]);
+    let mut sides: Vec<(u32, u32)> = sides.collect();
+    sides.sort_unstable();
+    sides.dedup();
+    let of_node = sides.chunk_by(|a, b| a.0 == b.0);
+    of_node.map(|sides| (sides[0].0, sides.iter().map(|side| side.1).collect())).collect()
+}
+
+/// Whether no neighbour of a node at x (m) along its surface lies farther in a direction, to a slack: the sine of an angle.
+fn is_foremost(x: DVec3, mut neighbours: impl Iterator<Item = DVec3>, direction: DVec3, slack: f64) -> bool {
+    neighbours.all(|other| direction.dot((other - x).normalize_or_zero()) <= slack)
 }
 
 impl ContactPair {
@@ -132,9 +160,9 @@ pub fn contact_pairs(
             if other_number == number || apart || !may_touch(*number, *other_number) {
                 continue;
             }
-            let beside = |&node: &u32| {
-                let x = positions[node as usize];
-                other.is_near(&[x], reach).then(|| other.beside(node, x, reach))?
+            let beside = |node: &(u32, Vec<u32>)| {
+                let near = other.is_near(&[positions[node.0 as usize]], reach);
+                near.then(|| other.beside(node, positions, reach))?
             };
             pairs.par_extend(skin.nodes.par_iter().filter_map(beside));
             if number < other_number {
@@ -167,7 +195,7 @@ pub fn contact_hits(
             if other_number == number || apart || !may_touch(number, other_number) {
                 continue;
             }
-            let nodes = body.nodes.par_iter().map(|&node| (node, motion.bounds(&[node])));
+            let nodes = body.nodes.par_iter().map(|node| (node, motion.bounds(&[node.0])));
             let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
             hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
                 let faces = meeting(&other.face_tree, &bounds).into_iter();
@@ -196,11 +224,11 @@ struct Motion<'a> {
 
 /// A surface in a motion, with boxes that contain it.
 struct Swept<'a> {
-    nodes: Vec<u32>,
+    nodes: Nodes,
     faces: &'a [[u32; 3]],
     /// Boxes of the faces.
     face_tree: Bvh,
-    /// Sharp edges.
+    /// Convex edges.
     edges: Vec<Edge>,
     /// Boxes of these.
     edge_tree: Bvh,
@@ -209,16 +237,14 @@ struct Swept<'a> {
 
 impl<'a> Swept<'a> {
     fn new(motion: &Motion, triangles: &'a [[u32; 3]]) -> Swept<'a> {
-        let nodes: BTreeSet<u32> = triangles.iter().flatten().copied().collect();
-        let nodes: Vec<u32> = nodes.into_iter().collect();
         let edges = sharp_edges(motion.positions, triangles);
         Swept {
-            bounds: motion.bounds(&nodes),
+            bounds: motion.bounds(triangles.as_flattened()),
             faces: triangles,
             face_tree: tree(triangles.iter().map(|face| motion.bounds(face))),
             edge_tree: tree(edges.iter().map(|edge| motion.bounds(&edge.nodes))),
             edges,
-            nodes,
+            nodes: nodes_of(triangles),
         }
     }
 }
@@ -258,8 +284,9 @@ impl Motion<'_> {
         roots(cubic).into_iter().find_map(here)
     }
 
-    /// A node that crosses a face from outside.
-    fn node_hit(&self, node: u32, face: [u32; 3]) -> Option<ContactPair> {
+    /// A node that crosses a face from outside, no later than its neighbours.
+    fn node_hit(&self, (node, neighbours): &(u32, Vec<u32>), face: [u32; 3]) -> Option<ContactPair> {
+        let node = *node;
         let corners = |part: f64| face.map(|corner| self.at(corner, part));
         let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
         let volume = |part: f64| {
@@ -278,7 +305,10 @@ impl Motion<'_> {
             let weights = [weight(b, c), weight(c, a), weight(a, b)];
             let inside = weights.iter().all(|weight| *weight >= -ENDS);
             let points = face.into_iter().zip(weights.map(|weight| -weight));
-            (area > 0.0 && inside).then(|| self.pair(points.chain([(node, 1.0)]), n / area.sqrt())).flatten()
+            let n = n / area.sqrt();
+            let neighbours = neighbours.iter().map(|&other| self.at(other, part));
+            let meets = area > 0.0 && inside && is_foremost(x, neighbours, -n, FACE_SLACK);
+            meets.then(|| self.pair(points.chain([(node, 1.0)]), n)).flatten()
         })
     }
 
@@ -363,7 +393,7 @@ fn roots(cubic: impl Fn(f64) -> f64) -> Vec<f64> {
     brackets.collect()
 }
 
-/// Edges of a surface whose faces are not coplanar.
+/// Convex edges of a surface.
 fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let at = |node: u32| positions[node as usize];
     let mut sides: Vec<([u32; 2], DVec3, DVec3)> = Vec::new();
@@ -381,7 +411,7 @@ fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let edges = sides.chunk_by(|a, b| a.0 == b.0);
     edges
         .filter_map(|faces| match faces {
-            [one, two] if one.1.dot(two.1) < FLAT => {
+            [one, two] if one.1.dot(two.1) < FLAT && one.1.dot(two.2) < 0.0 => {
                 Some(Edge { nodes: one.0, normals: [one.1, two.1], inwards: [one.2, two.2] })
             }
             _ => None,
@@ -398,14 +428,19 @@ fn edge_pairs(positions: &[DVec3], skin: &Skin, other: &Skin, reach: f64, pairs:
     };
     let [ours, theirs] = [near(&skin.edges, other), near(&other.edges, skin)];
     let found = ours.par_iter().flat_map_iter(|a| {
-        let pair = |b: &Edge| edge_pair(ends, a, b, reach);
+        let pair = |b: &Edge| edge_pair(ends, (skin, a), (other, b), reach);
         theirs.iter().filter_map(pair)
     });
     pairs.par_extend(found);
 }
 
 /// The pair of the nearest points of two edges, if they are inside the edges and the surfaces are not nearer beside them.
-fn edge_pair(ends: impl Fn(&Edge) -> [DVec3; 2], a: &Edge, b: &Edge, reach: f64) -> Option<ContactPair> {
+fn edge_pair(
+    ends: impl Fn(&Edge) -> [DVec3; 2],
+    (skin, a): (&Skin, &Edge),
+    (other, b): (&Skin, &Edge),
+    reach: f64,
+) -> Option<ContactPair> {
     let ([a0, a1], [b0, b1]) = (ends(a), ends(b));
     let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
     let apart = (a0.max(a1) + reach).cmplt(b0.min(b1)).any() || (b0.max(b1) + reach).cmplt(a0.min(a1)).any();
@@ -438,6 +473,11 @@ fn edge_pair(ends: impl Fn(&Edge) -> [DVec3; 2], a: &Edge, b: &Edge, reach: f64)
     let sign = if direction.dot(outwards) >= 0.0 { 1.0 } else { -1.0 };
     let normal = sign * direction;
     if !leaves(b, normal) || !leaves(a, -normal) {
+        return None;
+    }
+    // Edges of slim bodies may face away from each other: of bodies that overlap here, each edge goes through the other's surface.
+    let pierces = |from: DVec3, way: DVec3, body: &Skin| body.mesh.intersects_local_ray(&Ray::new(from, way), 1.0);
+    if sign < 0.0 && !(pierces(a0, u, other) && pierces(b0, v, skin)) {
         return None;
     }
     let points = [(a.nodes[0], 1.0 - s), (a.nodes[1], s), (b.nodes[0], t - 1.0), (b.nodes[1], -t)];

@@ -7,7 +7,7 @@ use cutwater::geometry::obstacle_cut;
 use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{PUSHING, complementarity};
 use cutwater::reference::{Reference, TimeStep};
-use cutwater::scene::{Obstacle, Placement, Scene, Shape, Solid};
+use cutwater::scene::{Obstacle, Placement, Scene, Shape, Solid, SolidMesh};
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{State, StepReport};
 use glam::{DMat3, DVec3};
@@ -126,6 +126,65 @@ fn a_block_slides_or_sticks_on_a_slope() {
                 assert!(p1.length() / mass <= 1e-3, "{ground:?}: {p1}");
             }
             assert!((x1 - x0).dot(normal).abs() <= 1e-3, "{ground:?}");
+        }
+    }
+}
+
+/// The same on a solid of any mesh, whose nodes lie ahead of the block, with no push aside.
+#[test]
+fn a_block_slides_over_any_mesh() {
+    let angle = 30_f64.to_radians();
+    let dt = 1.0 / 120.0;
+    let meshes = [[10, 1, 5], [20, 1, 10], [33, 1, 17], [40, 1, 20]];
+    for (case, cells) in meshes.into_iter().enumerate() {
+        for friction in [0.0, 0.3] {
+            let (mut scene, [along, normal]) = slope(Ground::Solid, angle, friction);
+            scene.solids[1].mesh = SolidMesh::Box { size: DVec3::new(2.0, 0.1, 1.0), cells };
+            // Nodes on nodes, beside them, and turned.
+            scene.solids[0].placement.translate += [DVec3::ZERO, DVec3::new(0.013, 0.0, 0.017)][case % 2];
+            if case == 3 {
+                scene.solids[0].placement.rotate = DMat3::from_rotation_y(0.3);
+            }
+            let (mut reference, solids) = start(&scene);
+            let mass: f64 = solids.mass[solids.bodies[0].nodes.clone()].iter().sum();
+            let speed = |reference: &Reference| motion(&solids, reference.state(), 0)[0] / mass;
+            advance(&mut reference, dt, 12);
+            let before = speed(&reference);
+            advance(&mut reference, dt, 36);
+            let after = speed(&reference);
+            let got = (after - before).dot(along) / (36.0 * dt);
+            let theory = GRAVITY * (angle.sin() - friction * angle.cos());
+            println!("{cells:?}, {friction}: {got} m/s^2 of {theory}, {after} m/s");
+            assert!((got / theory - 1.0).abs() <= 0.01, "{cells:?}, {friction}: {got} m/s^2 for {theory}");
+            assert!(after.dot(along.cross(normal)).abs() <= 1e-3 * after.length(), "{cells:?}, {friction}: {after}");
+        }
+    }
+}
+
+/// Without friction a block slides over another of any mesh with the momentum of its start.
+#[test]
+fn stacked_blocks_slide_freely() {
+    let start_velocity = DVec3::new(0.5, 0.0, 0.1);
+    for (lower_cells, upper_cells) in [([6, 2, 4], [2, 1, 2]), ([13, 2, 9], [3, 2, 3]), ([5, 2, 3], [4, 2, 4])] {
+        let mut upper = block([0.2, 0.1, 0.2], upper_cells);
+        upper.placement.translate = DVec3::new(1.863, 0.25, 2.017);
+        upper.placement.rotate = DMat3::from_rotation_y(0.3);
+        upper.initial.velocity = start_velocity;
+        let mut lower = block([0.6, 0.2, 0.4], lower_cells);
+        lower.placement.translate = DVec3::new(2.0, 0.1, 2.0);
+        let mut scene = scene_of(vec![upper, lower]);
+        scene.solver.solid_contact = true;
+        scene.domain.gravity = -GRAVITY * DVec3::Y;
+        let (mut reference, solids) = start(&scene);
+        let mass = |body: usize| solids.mass[solids.bodies[body].nodes.clone()].iter().sum::<f64>();
+        for _ in 0..12 {
+            advance(&mut reference, 1.0 / 240.0, 8);
+            let [[p, x], [q, _]] = [0, 1].map(|body| motion(&solids, reference.state(), body));
+            let [v, w] = [p / mass(0), q / mass(1)];
+            println!("{lower_cells:?} {upper_cells:?}: {v}, {w} m/s, {x} m");
+            let lost = (v - start_velocity).with_y(0.0);
+            assert!(lost.length().max(w.with_y(0.0).length()) <= 1e-3, "{lower_cells:?} {upper_cells:?}: {v}, {w} m/s");
+            assert!((x.y - 0.25).abs() <= 1e-3, "{x}: stays on the lower one");
         }
     }
 }
