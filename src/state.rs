@@ -15,6 +15,8 @@ pub struct State {
     pub frame: u64,
     /// Length of the last sub-step, s; 0 before the first.
     pub dt_last: f64,
+    /// Longest next sub-step in which no solid passes through another, s; 0 without a limit.
+    pub contact_step: f64,
     /// Face velocities per axis (host face layout), m/s; 0 beyond the extrapolated layers.
     pub velocity: [Vec<f64>; 3],
     /// Marker positions in order, m. Empty with `surface = "fixed"`.
@@ -113,6 +115,7 @@ impl State {
             step: 0,
             frame: 0,
             dt_last: 0.0,
+            contact_step: 0.0,
             velocity: Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]),
             markers: Vec::new(),
             marker_velocity: Vec::new(),
@@ -138,6 +141,11 @@ impl State {
     /// Time to the next frame, s.
     pub fn time_left(&self, frames_per_second: f64) -> f64 {
         (self.frame + 1) as f64 / frames_per_second - self.time
+    }
+
+    /// Limits of the next sub-step by the last, s: its length and that of contact; 0 without.
+    pub fn last_limits(&self) -> [f64; 2] {
+        [self.dt_last, self.contact_step]
     }
 
     /// Advances the clock by a sub-step of dt (s). A sub-step that ends within a billionth of a frame of the next frame
@@ -319,6 +327,15 @@ pub struct ContactReport {
     pub solves: u32,
     /// Misclassified contacts of the last solve: penetrating or adhering nodes; 0 if the active set is unchanged.
     pub unsettled: u32,
+    /// Halvings of the next sub-step, since solids would pass through each other in one of this length; `None` where even a longer one is safe.
+    pub next_halvings: Option<u32>,
+}
+
+impl ContactReport {
+    /// Longest next sub-step after one of dt (s), s; 0 without a limit.
+    pub fn next_step(&self, dt: f64) -> f64 {
+        self.next_halvings.map_or(0.0, |times| dt * 0.5_f64.powi(times as i32))
+    }
 }
 
 /// Diagnostics of the solids in one sub-step.

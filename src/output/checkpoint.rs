@@ -19,7 +19,7 @@ use crate::grid::{Axis, Grid};
 use crate::state::{Carried, State};
 
 /// Version of the names and meanings of the arrays.
-const FORMAT: u64 = 4;
+const FORMAT: u64 = 5;
 
 /// State of a run at one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -122,6 +122,7 @@ fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A:
     with.count("step", &mut state.step)?;
     with.count("frame", &mut state.frame)?;
     with.number("dt_last", &mut state.dt_last)?;
+    with.number("contact_step", &mut state.contact_step)?;
     for (axis, name) in Axis::ALL.into_iter().zip(["velocity_x", "velocity_y", "velocity_z"]) {
         let faces = field(grid.faces(axis));
         with.numbers(name, &faces, &mut state.velocity[axis.index()])?;

@@ -172,9 +172,10 @@ const EXCHANGE: [&str; 6] =
 /// Columns of separation.
 const SEPARATION: [&str; 5] =
     ["separated_cells", "returned_cells", "separation_rounds", "least_pressure", "opened_volume"];
-const SOLIDS: [&str; 18] = [
+const SOLIDS: [&str; 19] = [
     "solid_solves",
     "unsettled_contacts",
+    "contact_halvings",
     "solid_iterations",
     "residual_v",
     "solid_status",
@@ -335,6 +336,7 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
     Ok(vec![
         contact.solves.to_string(),
         contact.unsettled.to_string(),
+        contact.next_halvings.unwrap_or_default().to_string(),
         solve.iterations.to_string(),
         real("residual_v", solve.residual)?,
         solve.status.name().to_owned(),

@@ -12,7 +12,8 @@
 //! along v_a - v_b without rows. Those that slip have the force mu lambda against the slip.
 //!
 //! The rows hold at the nearest points of the start. Where bodies still meet in the motion by dt v, the rows of these meetings join, and it is solved
-//! again, at most four times.
+//! again, at most four times. The bodies move in the next sub-step: where they still meet after the last solve, it is halved until they do not. Where
+//! they would meet in a longer one, it is no longer than this.
 //!
 //! Where bodies overlap, r = 0 instead of -gap / dt: the velocity does not push them out, so that v = 0 remains admissible and
 //! phi, which is 0 at rest, does not grow. Walls and obstacles push nodes out, as they do without contact of solids.
@@ -41,6 +42,10 @@ const LEAST_REACH: f64 = 0.05;
 const DEPTH: f64 = 1e-3;
 /// Largest number of solves with rows of meetings that the rows before missed.
 pub const MOST_MEETINGS: u32 = 4;
+/// Largest growth of the next sub-step.
+const GROWTH: f64 = 2.0;
+/// Largest number of halvings of the next sub-step.
+const MOST_HALVINGS: u32 = 10;
 /// Largest number of coupled solves of a sub-step with the same rows.
 pub const MOST_COUPLED: u32 = 12;
 
@@ -69,11 +74,12 @@ impl Touching<'_> {
         };
         let met = !known.is_empty() || rows.iter().all(|row| row.slack(velocity) >= 0.0);
         if met {
-            let hits = self.hits(velocity);
+            let hits = self.hits(velocity, self.dt);
             if hits.is_empty() {
                 return None;
             }
-            rows.extend(hits);
+            let (nodes, _) = velocity.as_chunks::<3>();
+            rows.extend(hits.iter().filter_map(|pair| self.row(pair, nodes)));
         }
         Some(rows)
     }
@@ -91,15 +97,32 @@ impl Touching<'_> {
         rows
     }
 
-    /// The rows of points that meet in the motion by dt times the velocities.
-    fn hits(&self, velocity: &[f64]) -> Vec<Row> {
+    /// Reports by how much the next sub-step must be shorter, for velocities after the last solve (m/s, three numbers per node), and the meetings
+    /// that are left in the shortest. Without velocities there was no solve with rows.
+    pub fn shorten(&self, velocity: &[f64], report: &mut ContactReport) {
+        let hits = |factor: f64| self.hits(velocity, factor * self.dt).len() as u32;
+        if velocity.is_empty() || hits(GROWTH) == 0 {
+            return;
+        }
+        let mut left = 0;
+        let halvings = (0..=MOST_HALVINGS).find(|&times| {
+            left = hits(0.5_f64.powi(times as i32));
+            left == 0
+        });
+        report.next_halvings = Some(halvings.unwrap_or(MOST_HALVINGS));
+        report.unsettled += left;
+    }
+
+    /// The points that meet in the motion by `span` (s) times the velocities.
+    fn hits(&self, velocity: &[f64], span: f64) -> Vec<ContactPair> {
         let (nodes, _) = velocity.as_chunks::<3>();
-        let ways: Vec<DVec3> = nodes.iter().map(|v| self.dt * DVec3::from(*v)).collect();
+        let ways: Vec<DVec3> = nodes.iter().map(|v| span * DVec3::from(*v)).collect();
         let triangles = &self.solids.triangles;
         let depth = DEPTH * self.dx;
         let may_touch: MayTouch = &|one, other| self.solids.may_touch(one, other);
-        let pairs = contact_hits(self.positions, &ways, triangles, (&self.bodies(), may_touch), depth);
-        pairs.iter().filter_map(|pair| self.row(pair, nodes)).collect()
+        let mut pairs = contact_hits(self.positions, &ways, triangles, (&self.bodies(), may_touch), depth);
+        pairs.retain(|pair| pair.points.iter().any(|&(node, _)| self.solids.prescribed[node as usize] != [true; 3]));
+        pairs
     }
 
     fn bodies(&self) -> Vec<Range<usize>> {
@@ -164,7 +187,7 @@ pub(super) fn solve_in_rows(
     settings: &Solver,
 ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
     let (free, report) = solver.solve(touching.solids, system, settings)?;
-    let none = ContactReport { solves: 1, unsettled: 0 };
+    let none = ContactReport { solves: 1, ..ContactReport::default() };
     let without = system.clone();
     let mut known = Vec::new();
     let mut solved = (free.clone(), report, none);
@@ -173,7 +196,6 @@ pub(super) fn solve_in_rows(
             break;
         };
         if meetings > MOST_MEETINGS {
-            solved.2.unsettled += (rows.len() - known.len()) as u32;
             break;
         }
         known.clone_from(&rows);
@@ -187,12 +209,13 @@ pub(super) fn solve_in_rows(
         system.push(&rows.forces(&found.z));
         let (velocity, mut report) = solver.solve(touching.solids, system, settings)?;
         report.iterations += solved.1.iterations;
-        let mut contact = ContactReport { solves: found.pivots, unsettled: found.wrong };
+        let mut contact = ContactReport { solves: found.pivots, unsettled: found.wrong, ..ContactReport::default() };
         if meetings > 0 {
             contact.solves += solved.2.solves;
         }
         solved = (velocity, report, contact);
     }
+    touching.shorten(solved.0.as_flattened(), &mut solved.2);
     Ok(solved)
 }
 
@@ -207,7 +230,7 @@ pub(super) fn solve_coupled_in_rows(
     touching: Touching,
 ) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
     let (system, solution) = together.solve(solid, None)?;
-    let mut report = ContactReport { solves: 1, unsettled: 0 };
+    let mut report = ContactReport { solves: 1, ..ContactReport::default() };
     let free = solution.velocity.as_flattened().to_vec();
     let mut known = Vec::new();
     let mut best = (system, solution);
@@ -218,7 +241,6 @@ pub(super) fn solve_coupled_in_rows(
             break;
         };
         if meetings > MOST_MEETINGS {
-            report.unsettled += (rows.len() - known.len()) as u32;
             break;
         }
         known.clone_from(&rows);
@@ -253,5 +275,6 @@ pub(super) fn solve_coupled_in_rows(
         }
     }
     let (system, solution) = best;
+    touching.shorten(solution.velocity.as_flattened(), &mut report);
     Ok((system, solution, report))
 }

@@ -196,7 +196,7 @@ impl Reference {
             _ => 0.0,
         };
         let speed = larger(speed, scripts);
-        model.limits.time_step(speed, [state.time, left], state.dt_last)
+        model.limits.time_step(speed, [state.time, left], state.last_limits())
     }
 
     /// Runs one sub-step. After an error the state is the one before.

@@ -523,7 +523,8 @@ impl<'a> ContactSearch<'a> {
     pub fn after(&mut self, system: &SolidSystem, minimiser: Vec<[f64; 3]>, last: bool) -> SearchStep {
         self.solves += 1;
         let violations = self.contacts.judge(system, &minimiser);
-        let report = ContactReport { solves: self.solves, unsettled: violations.beyond + violations.pulled };
+        let unsettled = violations.beyond + violations.pulled;
+        let report = ContactReport { solves: self.solves, unsettled, next_halvings: None };
         if report.unsettled == 0 {
             return SearchStep { velocity: minimiser, ended: true, report };
         }

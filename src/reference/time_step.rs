@@ -83,8 +83,9 @@ impl StepLimits {
     /// surface in motion, else cfl; such a surface starts with a quarter of that. 2 dt_last where that reaches the frame.
     ///
     /// `speed`: largest magnitude of a velocity component, m/s; `[time, left]`: s, and T to the next frame; `dt_last`: 0
-    /// before the first sub-step. A fixed step divides T into equal parts of about its length, whatever the speed.
-    pub fn time_step(&self, speed: f64, [time, left]: [f64; 2], dt_last: f64) -> TimeStep {
+    /// before the first sub-step; `contact`: the longest sub-step in which no solid passes through another, 0 without a limit. A fixed step
+    /// divides T into equal parts of about its length, whatever the speed.
+    pub fn time_step(&self, speed: f64, [time, left]: [f64; 2], [dt_last, contact]: [f64; 2]) -> TimeStep {
         let of_length = |dt: f64, floored: bool| {
             let wave_cfl = dt * (self.acceleration(time, dt) / self.dx).sqrt();
             TimeStep {
@@ -97,6 +98,7 @@ impl StepLimits {
         };
         if let Some(fixed) = self.fixed_step {
             let dt = left / (left / fixed).round().max(1.0);
+            let dt = if contact > 0.0 && dt > contact * (1.0 + ROUNDING) { parts_of(left, contact) } else { dt };
             return of_length(dt, speed * dt > self.cfl * self.dx * (1.0 + ROUNDING));
         }
         let wave_cfl = if self.surface { WAVE_CFL } else { self.cfl };
@@ -108,14 +110,16 @@ impl StepLimits {
             let whole = 2.0 * dt_last * (1.0 + ROUNDING) >= left;
             longest = longest.min(if whole { 2.0 } else { GROWTH } * dt_last);
         }
+        if contact > 0.0 {
+            longest = longest.min(contact);
+        }
         // Accelerations that begin within the sub-step count.
         let wave = wave(longest.min(left));
         longest = longest.min(wave);
         if dt_last == 0.0 && self.surface {
             longest = longest.min(FIRST * wave);
         }
-        let parts = left / longest.max(self.shortest) * (1.0 - ROUNDING);
-        of_length(left / parts.ceil().max(1.0), longest < self.shortest)
+        of_length(parts_of(left, longest.max(self.shortest)), longest < self.shortest)
     }
 
     /// Largest acceleration between a time and `span` (both s) later, m/s^2.
@@ -138,4 +142,10 @@ impl StepLimits {
             _ => (self.edge / acceleration).sqrt() / CONTROLS,
         }
     }
+}
+
+/// The fewest equal parts of `left` that are at most `longest`, all s.
+fn parts_of(left: f64, longest: f64) -> f64 {
+    let parts = left / longest * (1.0 - ROUNDING);
+    left / parts.ceil().max(1.0)
 }

@@ -8,7 +8,6 @@ use crate::fields::SolidBuffers;
 use crate::geometry::{ContactField, ObstacleCut};
 use crate::gpu::{Gpu, Readback, Recorder};
 use crate::grid::Grid;
-use crate::linalg::Row;
 use crate::reference::{ActiveSurfaces, Contacts, Touching, hold_near_others};
 
 /// Contacts of the solids of a scene.
@@ -86,18 +85,17 @@ impl GpuContacts {
         Ok(buffers.displacement_of(&displacement.wait(gpu)?))
     }
 
-    /// The rows for velocities (m/s, three numbers per node) and rows so far, with the displacements (m) of the sub-step.
-    pub(super) fn rows(
+    /// What may touch with the displacements (m) of the sub-step; `dx` in m.
+    pub(super) fn touching<T>(
         &self,
         solids: &Solids,
         dx: f64,
         displacement: &[[f64; 3]],
-        (velocity, known): (&[f64], &[Row]),
-    ) -> Option<Vec<Row>> {
+        then: impl FnOnce(Touching) -> T,
+    ) -> T {
         let active = vec![ActiveSurfaces::default(); displacement.len()];
         let contacts = Contacts::holding(solids, &self.field, displacement, &active, self.dt);
         let moved = solids.moved(displacement);
-        let touching = Touching { solids, contacts: &contacts, positions: &moved.nodes, dt: self.dt, dx };
-        touching.rows(velocity, known)
+        then(Touching { solids, contacts: &contacts, positions: &moved.nodes, dt: self.dt, dx })
     }
 }

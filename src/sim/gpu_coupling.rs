@@ -451,12 +451,16 @@ impl GpuCoupling {
         if let Some(contacts) = &solids.contacts {
             let at = coupled((&liquid.buffers, &liquid.solver), solids, &self.buffers);
             let dx = solids.buffers.plan.grid.dx;
+            let mut last = Vec::new();
             let mut rows = |velocity: &[f64], known: &[Row]| {
-                Ok(contacts.rows(&solids.solids, dx, displacement, (velocity, known)))
+                velocity.clone_into(&mut last);
+                Ok(contacts.touching(&solids.solids, dx, displacement, |touching| touching.rows(velocity, known)))
             };
             let (polynomial, recorder) = (solids.polynomial(dt), Recorder::timed(gpu));
             let rows_of = (&mut rows as RowsOf, [MOST_MEETINGS, MOST_COUPLED]);
-            let (outcome, contact, times) = together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
+            let solved = together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
+            let (outcome, mut contact, times) = solved;
+            contacts.touching(&solids.solids, dx, displacement, |touching| touching.shorten(&last, &mut contact));
             let solved =
                 Solved { parts: outcome.parts(touch.closed_components), condensed: outcome.condensed, contact };
             return Ok((solved, times));

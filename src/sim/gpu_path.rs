@@ -183,6 +183,7 @@ impl GpuPath {
             step: state.step,
             frame: state.frame,
             dt_last: state.dt_last,
+            contact_step: state.contact_step,
             sources_running: state.sources_running,
             ..State::default()
         };
@@ -341,7 +342,7 @@ impl GpuPath {
         let max_speed = max_speed.chain(sources).chain(scripts).chain(pushing);
         let max_speed = max_speed.fold(0.0, f64::max);
         let times = [self.head.time, left];
-        self.limits.time_step(max_speed, times, self.head.dt_last)
+        self.limits.time_step(max_speed, times, self.head.last_limits())
     }
 
     /// Writes the parameters of a sub-step.

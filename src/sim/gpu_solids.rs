@@ -252,15 +252,19 @@ impl GpuSolids {
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let GpuSolids { buffers, system, stages, .. } = self;
         if let Some(contacts) = &self.contacts {
+            let displacement = || contacts.displacement(gpu, buffers);
+            let dx = buffers.plan.grid.dx;
+            let mut last = Vec::new();
             let mut rows = |velocity: &[f64], known: &[Row]| {
-                let displacement = contacts.displacement(gpu, buffers)?;
-                let dx = buffers.plan.grid.dx;
-                Ok(contacts.rows(&self.solids, dx, &displacement, (velocity, known)))
+                velocity.clone_into(&mut last);
+                Ok(contacts.touching(&self.solids, dx, &displacement()?, |touching| touching.rows(velocity, known)))
             };
             let with = (system, buffers);
             let rows_of = (&mut rows as RowsOf, MOST_MEETINGS);
-            let solver = &stages.solve;
-            return solver.solve_in_rows(gpu, recorder, with, polynomial, rows_of);
+            let solved = stages.solve.solve_in_rows(gpu, recorder, with, polynomial, rows_of)?;
+            let (outcome, mut contact, times) = solved;
+            contacts.touching(&self.solids, dx, &displacement()?, |touching| touching.shorten(&last, &mut contact));
+            return Ok((outcome, contact, times));
         }
         let mut iterations = 0;
         let solve = |recorder, _| {
@@ -293,7 +297,7 @@ impl GpuSolids {
                 search.record_judge(pass);
             })?;
             let unsettled = penetrating + adhering;
-            let mut contact = ContactReport { solves, unsettled };
+            let mut contact = ContactReport { solves, unsettled, next_halvings: None };
             if unsettled == 0 || (together && !status.is_best_attainable()) {
                 return Ok((solution, contact, query.seconds));
             }

@@ -220,7 +220,7 @@ fn first_step(scene: &Scene, (solids, obstacles, taps): (&Solids, Option<&Obstac
     let speed = speed.max(solids.max_script_speed(0.0, frame));
     let accelerations = obstacles.map_or(Vec::new(), ObstacleCut::accelerations);
     let limits = StepLimits::new(scene, accelerations, Some(solids));
-    limits.time_step(speed, [0.0, frame], 0.0)
+    limits.time_step(speed, [0.0, frame], [0.0; 2])
 }
 
 /// Effects of the scene and of its meshes, such as bodies that turn.

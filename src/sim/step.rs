@@ -99,6 +99,7 @@ impl GpuPath {
         let liquid = self.liquid.as_mut();
         let liquid = liquid.zip(readback.pressure.zip(readback.liquid));
         let solids = self.solids.as_mut();
+        self.head.contact_step = readback.velocity.as_ref().map_or(0.0, |(_, contact)| contact.next_step(dt));
         let solids = solids.zip(readback.velocity.zip(readback.solids));
         StepReport {
             dt,

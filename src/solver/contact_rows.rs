@@ -150,8 +150,8 @@ impl DrySystem {
         })
     }
 
-    /// After a solve: writes the forces of the rows to the right-hand side. `None` where the velocities meet them all; else exchanges of the
-    /// pivoting, and rows that it left wrong; `last`: no more solve follows, and rows that joined are all wrong.
+    /// After a solve: writes the forces of the rows to the right-hand side. `None` where the velocities meet them all, or no solve follows, as
+    /// after the `last`; else exchanges of the pivoting, and rows that it left wrong.
     pub(super) fn push(
         &self,
         gpu: &Gpu,
@@ -164,12 +164,10 @@ impl DrySystem {
         let DryReadbacks { nodes, freedom, rotated, masses } = &mut *readbacks;
         let [velocity, rhs] = nodes.read(gpu, solids, fields)?;
         let known = progress.as_ref().map_or(&[][..], |before| &before.rows);
-        let Some(rows) = rows_of(&three(&velocity), known)? else {
+        let rows = rows_of(&three(&velocity), known)?;
+        let Some(rows) = rows.filter(|_| !last) else {
             return Ok(None);
         };
-        if last {
-            return Ok(Some([0, (rows.len() - known.len()) as u32]));
-        }
         let DryProgress { velocity, mut rhs, .. } =
             progress.take().unwrap_or(DryProgress { rows: Vec::new(), velocity, rhs });
         *progress = Some(DryProgress { rows: rows.clone(), velocity: velocity.clone(), rhs: rhs.clone() });

@@ -327,7 +327,7 @@ impl CoupledSolver {
         let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
         let (mut outcome, mut stages) = self.solve_form(gpu, recorder, &form, false, None)?;
         times.append(&mut stages);
-        let mut report = ContactReport { solves: 1, unsettled: 0 };
+        let mut report = ContactReport { solves: 1, ..ContactReport::default() };
         let system = &self.outer.system;
         let (Some(nodes), Some((schur, Prepared::Schur(inverse)))) = (&system.nodes, &form.prepared) else {
             return Ok((outcome, report, times));
@@ -343,7 +343,6 @@ impl CoupledSolver {
                 break;
             };
             if meeting > meetings {
-                report.unsettled += (rows.len() - known.len()) as u32;
                 break;
             }
             known.clone_from(&rows);

@@ -86,7 +86,7 @@ impl SolidSolver {
         (rows_of, most): (RowsOf, u32),
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let (mut outcome, mut times) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
-        let mut report = ContactReport { solves: 1, unsettled: 0 };
+        let mut report = ContactReport { solves: 1, ..ContactReport::default() };
         let Some(rows) = &self.rows else {
             return Ok((outcome, report, times));
         };
@@ -97,10 +97,6 @@ impl SolidSolver {
             let Some([solves, unsettled]) = pushed else {
                 break;
             };
-            if last {
-                report.unsettled += unsettled;
-                break;
-            }
             report.solves = solves + if meeting > 0 { report.solves } else { 0 };
             report.unsettled = unsettled;
             let recorder = Recorder::timed(gpu);

@@ -187,7 +187,7 @@ fn a_node_that_is_not_finite_is_refused() {
 fn solid_report() -> SolidReport {
     SolidReport {
         solve: SolveReport { unknowns: 321, iterations: 17, residual: 3.25e-9, status: SolveStatus::Stagnated },
-        contact: ContactReport { solves: 5, unsettled: 2 },
+        contact: ContactReport { solves: 5, unsettled: 2, next_halvings: Some(3) },
         diagnosis: SolidDiagnosis {
             momentum: [1.0 / 3.0, -2e-17, 3e20],
             angular_momentum: [4.0, 5.5, -6.0],
@@ -203,7 +203,7 @@ fn solid_report() -> SolidReport {
 
 #[test]
 fn tables_of_solids_read_back_exactly() {
-    let solid_columns = "solid_solves,unsettled_contacts,solid_iterations,residual_v,solid_status,solid_unknowns,solid_momentum_x,solid_momentum_y,\
+    let solid_columns = "solid_solves,unsettled_contacts,contact_halvings,solid_iterations,residual_v,solid_status,solid_unknowns,solid_momentum_x,solid_momentum_y,\
                          solid_momentum_z,solid_angular_momentum_x,solid_angular_momentum_y,solid_angular_momentum_z,\
                          solid_kinetic_energy,solid_elastic_energy,solid_potential_energy,solid_max_speed,min_det_f,inverted";
     let liquid_columns: Vec<&str> = StepTable::columns([true, false, false, false]).collect();
@@ -252,7 +252,7 @@ fn tables_of_solids_read_back_exactly() {
             format!("{before},{solid_columns}{coupling_columns},wave_cfl,dt_floored,seconds_total,seconds_solve")
         );
         let expected = format!(
-            "5,2,17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12{coupling},0.125,0,0.5,0.5"
+            "5,2,3,17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12{coupling},0.125,0,0.5,0.5"
         );
         assert!(values.starts_with("4,0.75,0.25,") && values.ends_with(&expected), "{values}");
         assert_eq!(values.split(',').count(), head.split(',').count());

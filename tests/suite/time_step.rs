@@ -34,14 +34,14 @@ fn close(a: f64, b: f64) -> bool {
 #[test]
 fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
     let limits = limits(POOL, &[]);
-    let dt = |speed, left, last| limits.time_step(speed, [0.0, left], last).dt;
+    let dt = |speed, left, last| limits.time_step(speed, [0.0, left], [last, 0.0]).dt;
     assert!(close(dt(0.0, 0.1, 0.0), 0.1 / 5.0), "a quarter at first");
     assert!(close(dt(0.0, 0.1, 0.02), 0.1 / 4.0), "1.5 times the last");
     assert!(close(dt(0.0, 0.1, 0.1), 0.1 / 2.0));
     assert!(close(dt(0.0, 0.09, 0.1), 0.09), "not shorter than it must");
     assert!(close(dt(0.0, 0.08, 0.04), 0.08), "two parts of a frame grow into one");
     assert!(close(dt(0.0, 0.08, 0.03), 0.04));
-    assert!(close(limits.time_step(0.0, [0.0, 0.09], 0.1).wave_cfl, 0.9));
+    assert!(close(limits.time_step(0.0, [0.0, 0.09], [0.1, 0.0]).wave_cfl, 0.9));
     // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
     assert!(close(dt(5.0, 0.1, 0.1), 0.1 / 3.0));
     // 4 m/s asks for exactly half the frame; rounding of the time left must not make it three steps.
@@ -53,7 +53,7 @@ fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
 fn gravity_over_time_limits_the_sub_steps() {
     let grows = "domain.gravity_keyframes=[{ t = 0.5, gravity = [0, -10, 0] }, { t = 0.51, gravity = [0, 0, 40] }]";
     let limits = limits(POOL, &["without domain.gravity", grows]);
-    let dt = |time: f64| limits.time_step(0.0, [time, 0.09], 0.1).dt;
+    let dt = |time: f64| limits.time_step(0.0, [time, 0.09], [0.1, 0.0]).dt;
     assert!(close(dt(0.0), 0.09));
     assert!(close(dt(0.45), 0.045), "it grows before the end");
     assert!(close(dt(0.6), 0.045));
@@ -65,7 +65,7 @@ fn gravity_over_time_limits_the_sub_steps() {
 #[test]
 fn a_fixed_surface_has_no_such_limit() {
     let limits = limits(POOL, &["liquid.surface=\"fixed\""]);
-    let dt = |speed, left, last| limits.time_step(speed, [0.0, left], last).dt;
+    let dt = |speed, left, last| limits.time_step(speed, [0.0, left], [last, 0.0]).dt;
     assert!(close(dt(0.0, 0.1, 0.0), 0.1));
     assert!(close(dt(0.0, 1.0, 0.0), 0.2), "2 sqrt(dx / g)");
     assert!(close(dt(0.0, 0.1, 0.01), 0.1 / 7.0));
@@ -74,16 +74,20 @@ fn a_fixed_surface_has_no_such_limit() {
 #[test]
 fn steps_have_a_least_and_a_largest_length() {
     let limits_of = |overrides: &[&str]| limits(POOL, overrides);
-    let floored = limits_of(&[]).time_step(1e9, [0.0, 1e-5], 0.0);
+    let floored = limits_of(&[]).time_step(1e9, [0.0, 1e-5], [0.0, 0.0]);
     assert!(floored.floored && close(floored.dt, 1e-7), "{floored:?}");
-    assert!(!limits_of(&[]).time_step(5.0, [0.0, 0.1], 0.01).floored);
+    assert!(!limits_of(&[]).time_step(5.0, [0.0, 0.1], [0.01, 0.0]).floored);
     let short = limits_of(&["time.max_step=0.01"]);
-    assert!(close(short.time_step(0.0, [0.0, 0.1], 1.0).dt, 0.01));
+    assert!(close(short.time_step(0.0, [0.0, 0.1], [1.0, 0.0]).dt, 0.01));
     let fixed = limits_of(&["time.fixed_step=0.02"]);
-    assert!(close(fixed.time_step(1e6, [0.0, 0.04 - 1e-14], 1e-9).dt, 0.02));
+    assert!(close(fixed.time_step(1e6, [0.0, 0.04 - 1e-14], [1e-9, 0.0]).dt, 0.02));
     // Two cells of 0.1 m in 0.02 s are 10 m/s; a fixed step is not shortened for more, but told.
-    assert!(!fixed.time_step(10.0, [0.0, 0.1], 0.0).floored);
-    assert!(fixed.time_step(10.1, [0.0, 0.1], 0.0).floored);
+    assert!(!fixed.time_step(10.0, [0.0, 0.1], [0.0, 0.0]).floored);
+    assert!(fixed.time_step(10.1, [0.0, 0.1], [0.0, 0.0]).floored);
+    // Contact shortens both, to equal parts of what is left.
+    assert!(close(fixed.time_step(0.0, [0.0, 0.04], [0.02, 0.005]).dt, 0.005));
+    assert!(close(fixed.time_step(0.0, [0.0, 0.04], [0.02, 0.02]).dt, 0.02));
+    assert!(close(short.time_step(0.0, [0.0, 0.1], [0.01, 0.003]).dt, 0.1 / 34.0));
 }
 
 /// Volume control works over sqrt(1 m / 10 m/s^2) / 8, or over an eighth of the time that the fastest point takes across.
@@ -94,8 +98,8 @@ fn volume_is_controlled_over_a_time_of_the_flow() {
     let floating = limits(POOL, &["domain.gravity=[0,0,0]"]);
     assert!(close(floating.control_time(0.5), 0.25));
     assert_eq!(floating.control_time(0.0), f64::INFINITY);
-    assert!(close(floating.time_step(0.0, [0.0, 0.1], 0.0).dt, 0.1));
-    assert_eq!(floating.time_step(0.0, [0.0, 0.1], 0.0).wave_cfl, 0.0);
+    assert!(close(floating.time_step(0.0, [0.0, 0.1], [0.0, 0.0]).dt, 0.1));
+    assert_eq!(floating.time_step(0.0, [0.0, 0.1], [0.0, 0.0]).wave_cfl, 0.0);
 }
 
 /// Moves by 0.4 m from 0.5 s to 0.6 s: 4 m/s from rest in that time, and back to rest.
@@ -106,7 +110,7 @@ fn accelerations_of_obstacles_count_while_they_last() {
          keyframes = [{{ t = 0.5 }}, {{ t = 0.6, translate = [0.4, 0, 0] }}]\n"
     );
     let limits = limits(&pushed, &[]);
-    let at = |time: f64| limits.time_step(0.0, [time, 1.0], 1.0);
+    let at = |time: f64| limits.time_step(0.0, [time, 1.0], [1.0, 0.0]);
     // 0.9 sqrt(dx / a), a = 10 and 40 m/s^2.
     let [slow, fast] = [0.09, 0.045];
     for (time, dt) in [(0.0, slow), (0.4, slow), (0.45, fast), (0.5, fast), (0.505, slow), (0.58, fast), (0.61, slow)] {

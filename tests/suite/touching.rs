@@ -2,13 +2,13 @@
 
 use cutwater::geometry::{ContactPair, contact_hits, contact_pairs, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
-use cutwater::reference::{Reference, TimeStep};
+use cutwater::reference::{ActiveSurfaces, Contacts, Reference, TimeStep, Touching};
 use cutwater::scene::{Placement, Scene, Solid, SolidMesh};
 use cutwater::sim::{Backend, Plan, Simulation};
-use cutwater::state::State;
+use cutwater::state::{ContactReport, State};
 use glam::{DMat3, DVec3};
 
-use crate::common::Random;
+use crate::common::{Random, gpu};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, body, scene_of, solids_of};
 
@@ -233,6 +233,56 @@ fn motions_through_surfaces_are_found() {
     for pair in &crossed {
         let sum: f64 = pair.points.iter().map(|point| point.1).sum();
         assert!(sum.abs() < 1e-12 && (pair.gap - 0.2).abs() < 1e-9, "{pair:?}");
+    }
+}
+
+/// Where velocities after the last solve still take bodies through each other, the next sub-step is halved until they do not; where a longer one
+/// alone would, it is no longer.
+#[test]
+fn the_next_sub_step_is_halved() {
+    // Two cubes 0.05 m apart.
+    let cube = |x: f64| {
+        let mut cube = block([0.2; 3], [1; 3]);
+        cube.placement.translate = DVec3::new(x, 2.0, 2.0);
+        cube
+    };
+    let scene = scene_of(vec![cube(1.0), cube(1.25)]);
+    let solids = solids_of(&scene);
+    let (grid, dt) = (scene.grid(), 0.1);
+    let field = obstacle_cut(&scene, &grid).unwrap().contact_field(&grid);
+    let displacement = vec![[0.0; 3]; solids.rest.len()];
+    let contacts = Contacts::holding(&solids, &field, &displacement, &[ActiveSurfaces::default(); 16], dt);
+    let touching = Touching { solids: &solids, contacts: &contacts, positions: &solids.rest, dt, dx: grid.dx };
+    // Way of the first cube in a sub-step over the gap.
+    for (way, expected) in [(-4.0, None), (0.4, None), (0.9, Some(0)), (1.9, Some(1)), (3.9, Some(2)), (7.9, Some(3))] {
+        let first = solids.bodies[0].nodes.len();
+        let velocity: Vec<f64> =
+            (0..16).flat_map(|i| [if i < first { way * 0.05 / dt } else { 0.0 }, 0.0, 0.0]).collect();
+        let mut report = ContactReport::default();
+        touching.shorten(&velocity, &mut report);
+        assert_eq!((report.next_halvings, report.unsettled), (expected, 0), "{way}");
+        let longest = expected.map_or(0.0, |times| dt / f64::from(1 << times));
+        assert!((report.next_step(dt) - longest).abs() <= 1e-12, "{way}");
+    }
+}
+
+/// Both backends take the limit of contact from a state.
+#[test]
+fn a_state_limits_the_next_sub_step() {
+    let mut scene = scene_of(vec![block([0.2; 3], [1; 3])]);
+    scene.solver.solid_contact = true;
+    scene.time.fixed_step = Some(0.01);
+    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    for backend in [Some(Backend::Cpu), device].into_iter().flatten() {
+        let mut simulation = Simulation::new(&scene, &backend).unwrap();
+        let whole = simulation.step().unwrap().dt;
+        let mut state = simulation.state().unwrap();
+        assert_eq!(state.contact_step, 0.0, "{backend:?}");
+        state.contact_step = 0.25 * whole;
+        let carried = simulation.carried().unwrap();
+        simulation.resume(&state, &carried).unwrap();
+        let dt = simulation.step().unwrap().dt;
+        assert!(dt <= 0.25 * whole * (1.0 + 1e-9) && dt >= 0.2 * whole, "{backend:?}: {dt} s after {whole} s");
     }
 }
 
