@@ -38,6 +38,11 @@ const STRICTEST = 1e-5;
 const NONE = 3e38;
 const MAX_BLOCKS = 2u;
 
+// Whether the iterate is zero and no guess was tried.
+fn at_zero() -> bool {
+    return control.refinements == 0u && norms[SCALE] == Real(0.0);
+}
+
 // Of a block: squared residual, reference, allowed error.
 fn judge(block: u32, sums: Real4) -> Real3 {
     var of_block = sums;
@@ -46,8 +51,7 @@ fn judge(block: u32, sums: Real4) -> Real3 {
         of_block = Real4(norms[at], norms[at + 1u], norms[at + 2u], norms[at + 3u]);
     }
     let coupled = settings.n_blocks > 1u;
-    if coupled && control.refinements == 0u {
-        // The iterate is zero.
+    if coupled && at_zero() {
         norms[norm_slot(block, RHS)] = of_block.x;
         if block > 0u {
             norms[norm_slot(block, TERMS)] = of_block.y;
@@ -92,8 +96,13 @@ fn refine_accept(@builtin(local_invocation_index) lane: u32) {
     let broke_down = control.status == STATUS_BREAKDOWN && control.refinements == 1u;
     var last = norms[NORM_LAST];
     let guessed = control.refinements == 0u && norms[SCALE] > Real(0.0);
-    if guessed {
+    if guessed && !coupled {
         last = norms[norm_slot(0u, RHS)] / judged[0].z;
+    }
+    if coupled && at_zero() && settings.guess > 0.0 && worst > Real(1.0) {
+        norms[NORM_LAST] = worst;
+        norms[SCALE] = Real(settings.guess);
+        return;
     }
     if (guessed || control.refinements > 0u) && worst >= last && !broke_down {
         norms[SCALE] = -norms[SCALE];

@@ -24,7 +24,8 @@ fn refine_start(@builtin(local_invocation_index) lane: u32) {
     norms[norm_slot(0u, TERMS)] = sums.y;
     norms[norm_slot(0u, RESIDUAL)] = sums.x;
     norms[NORM_LAST] = Real(3e38);
-    norms[SCALE] = Real(settings.guess);
+    // Several blocks are evaluated at zero before a guess: their right-hand sides have terms of the other blocks.
+    norms[SCALE] = select(Real(settings.guess), Real(0.0), settings.n_blocks > 1u);
     norms[STRICTNESS] = Real(1.0);
     control.unknowns = u32(sums.z);
     control.running = 0u;

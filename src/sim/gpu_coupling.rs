@@ -498,8 +498,9 @@ impl GpuCoupling {
                 Some(rounds) => {
                     let (form, recorder, mut times) = together.prepare(gpu, recorder, at, &polynomial)?;
                     let mut before = 0;
-                    let (outcome, restoring) = rounds.search(recorder, false, |recorder, round, update| {
-                        let with = (round.tolerance, again || round.number > 1);
+                    let (outcome, restoring) = rounds.search(recorder, |recorder, round, update| {
+                        let guess = round.number > 1;
+                        let with = (round.tolerance, again || guess, guess);
                         let (mut outcome, mut seconds, updated) =
                             together.solve_then(gpu, recorder, &form, with, update)?;
                         times.append(&mut seconds);

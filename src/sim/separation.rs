@@ -51,23 +51,21 @@ impl Rounds<'_> {
         self.stage.record_start(to, liquid, solver);
     }
 
-    /// Repeats a solve until the set is unchanged. A round waits as often as a solve. `guesses`: a round starts from the potential of the
-    /// last one. Rounds are then rough while the set changes; the first one is not where no cell is separated, since mostly none will be.
-    /// Rounds that start from zero are never rough: a set found with rough velocities of solids changes again.
+    /// Repeats a solve until the set is unchanged. A round waits as often as a solve, and starts from the solution of the last one. Rounds
+    /// are rough while the set changes; the first one is not where no cell is separated, since mostly none will be.
     /// `solve` gets work for the end of each of its submissions, and returns whether that work has read the solution.
     ///
     /// The recording that is returned restores the system of all active cells.
     pub(super) fn search<Solution>(
         &mut self,
         mut recorder: Recorder,
-        guesses: bool,
         mut solve: impl FnMut(Recorder, Round, &mut dyn FnMut(&mut Recorder)) -> Result<(Solution, bool), Error>,
     ) -> Result<(Solution, Recorder), Error> {
         let Rounds { gpu, fields: (liquid, solver), unmasked, flux, .. } = *self;
         let mut masks = self.report.cells > 0;
-        let (mut changed, mut rough) = (masks, masks && guesses);
+        let (mut changed, mut rough) = (masks, masks);
         for number in 1.. {
-            if guesses && number > 1 {
+            if number > 1 {
                 self.stage.record_guess(&mut recorder, liquid);
             }
             if changed {
@@ -107,7 +105,7 @@ impl Rounds<'_> {
             }
             self.report.returned += sums.returned as usize;
             masks |= changed;
-            rough = changed && guesses;
+            rough = changed;
         }
         unreachable!("the last round returns")
     }

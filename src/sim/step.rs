@@ -341,7 +341,7 @@ impl SubStep<'_, '_> {
         };
         rounds.record_start(&mut recorder);
         let mut iterations = 0;
-        let (mut outcome, recorder) = rounds.search(recorder, true, |recorder, round, update| {
+        let (mut outcome, recorder) = rounds.search(recorder, |recorder, round, update| {
             let with = (solver, round.tolerance, round.number > 1);
             let (outcome, mut times, updated) = solve.solve_then(gpu, recorder, with, update)?;
             seconds.append(&mut times);

@@ -285,18 +285,18 @@ impl CoupledSolver {
 
     /// Solves in a form that was prepared to another tolerance, with more work at the end of every submission. The active cells may be
     /// fewer than those that the form was prepared for. Returns whether that work has read the solution. `again`: the right-hand side of
-    /// the last solve.
+    /// the last solve. `guess`: velocities, and the correction of potentials in the buffers, are a guess.
     pub(crate) fn solve_then(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
         form: &CorrectionForm,
-        (tolerance, again): (f64, bool),
+        (tolerance, again, guess): (f64, bool, bool),
         then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(CoupledOutcome, StageTimes, bool), Error> {
         let case = Case { sized: false, ..form.case(again, None) };
         self.clear(gpu, case);
-        let aim = Aim { tolerance, guess: false };
+        let aim = Aim { tolerance, guess };
         let (outcomes, times, read) = self.outer.solve_then(gpu, recorder, case, aim, then)?;
         let outcome = CoupledOutcome::new(&outcomes, form.condenses());
         Ok((outcome, times, read))

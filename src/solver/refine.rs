@@ -433,8 +433,10 @@ impl<S: System> OuterLoop<S> {
         recorder.stage(Stage::Solve.name(), |pass| {
             self.system.record_start(pass, case);
             self.start.record(pass);
-            if !self.on_host && (S::GUESSES || !monolithic) {
-                self.record_evaluation(pass);
+            // A guess of several blocks is evaluated after zero.
+            let early = usize::from(S::GUESSES || !monolithic) + usize::from(aim.guess && self.n_blocks > 1);
+            if !self.on_host {
+                (0..early).for_each(|_| self.record_evaluation(pass));
             }
         });
         if self.on_host {

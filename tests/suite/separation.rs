@@ -74,14 +74,14 @@ fn heights(state: &State) -> Vec<f64> {
 #[test]
 fn water_falls_off_a_ceiling() {
     let (height, n) = DAM;
-    let [without, with] = ["none", "walls"].map(|kind| {
+    let [without, walls, from_air] = ["none", "walls", "from_air"].map(|kind| {
         let mut simulation = start(&ceiling(kind));
         run_to(&mut simulation, 4.0 * (height / GRAVITY).sqrt());
         let top = 1.25 * height - height / n as f64;
         let heights = heights(&simulation.state().unwrap());
         heights.iter().filter(|&&y| y > top).count()
     });
-    assert_eq!(with, 0, "markers in the top cells");
+    assert_eq!([walls, from_air], [0, 0], "markers in the top cells");
     assert!(without > 0, "the wave reaches the ceiling");
 }
 
@@ -106,6 +106,54 @@ fn a_lifted_plate_leaves_the_water() {
     let (with, without) = (gap("walls"), gap("none"));
     assert!(with > 5.0, "{with} cells below the plate");
     assert!(without < 1.0, "{without} cells below the plate");
+}
+
+/// Speed of a cylinder that enters a pool, m/s, its radius and the level of the pool, m, and cells per metre.
+const ENTRY: (f64, f64, f64, usize) = (3.0, 0.1, 0.6, 64);
+
+/// Largest angle from its lowest point to which a cylinder is wet once it is below the level of the pool, and the least pressure until
+/// then over rho V^2 / 2.
+fn entry(kind: &str) -> (f64, f64) {
+    let (speed, radius, level, n) = ENTRY;
+    let (dx, start_y) = (1.0 / n as f64, level + radius + 0.02);
+    let cylinder = format!(
+        "[[obstacle]]\ncylinder = {{ base = [0.5, {start_y}, -1], axis = [0, 0, 1], radius = {radius}, height = 2 }}\n\
+         keyframes = [{{ t = 0 }}, {{ t = 1, translate = [0, {}, 0] }}]\n",
+        -speed
+    );
+    let liquid = format!("separation = \"{kind}\"\n{}{cylinder}", filled([1.0, level]));
+    let mut simulation = start(&domain([n, 5 * n / 4, 2], dx, -GRAVITY, &liquid));
+    let (mut wet, mut least) = (0.0_f64, 0.0_f64);
+    while simulation.clock().time < 0.11 {
+        separation(&simulation.step().unwrap());
+        let state = simulation.state().unwrap();
+        least = state.pressure.iter().fold(least, |least, &p| least.min(p));
+        let centre = [0.5, start_y - speed * state.time];
+        if centre[1] > level - radius {
+            continue;
+        }
+        let offsets = state.markers.iter().map(|x| [x[0] - centre[0], x[1] - centre[1]]);
+        let near = offsets.filter(|[x, y]| x.hypot(*y) < radius + 0.75 * dx);
+        let mut angles: Vec<f64> = near.map(|[x, y]| x.abs().atan2(-y).to_degrees()).collect();
+        angles.sort_by(f64::total_cmp);
+        // Drops are further apart from the contact line than two cells.
+        let apart = (2.0 * dx / radius).to_degrees();
+        let gap = angles.windows(2).find(|pair| pair[1] - pair[0] > apart);
+        wet = wet.max(gap.map_or(angles[angles.len() - 1], |pair| pair[0]));
+    }
+    (wet, least / (0.5 * 1000.0 * speed * speed))
+}
+
+/// Water leaves a cylinder at its sides, and hardly anything pulls at it.
+#[test]
+fn a_cylinder_that_enters_water_drags_a_cavity() {
+    let (angle, least) = entry("walls");
+    // The contact line is between markers half a cell apart.
+    let between = (0.5 / (ENTRY.1 * ENTRY.3 as f64)).to_degrees();
+    assert!((90.0..96.0 + between).contains(&angle), "wet to {angle} degrees");
+    assert!(least > -0.05, "{least} rho V^2 / 2");
+    let (angle, least) = entry("none");
+    assert!(angle > 107.0 && least < -1.0, "without: wet to {angle} degrees, {least} rho V^2 / 2");
 }
 
 /// In a box pulled down at 2 g gravity points upwards.
@@ -204,12 +252,14 @@ fn pools_at_rest_stay_at_the_walls() {
         ("overhang", tilted([0.85, 0.25], [0.3, 0.05], 12.0)),
         ("inverted cup", cup),
     ] {
-        let liquid = format!("separation = \"walls\"\n{}{obstacles}", filled([1.0, 0.5]));
-        let mut simulation = start(&domain([20, 20, 4], dx, -GRAVITY, &liquid));
-        for step in 0..100 {
-            let report = separation(&simulation.step().unwrap());
-            assert_eq!((report.cells, report.rounds), (0, 1), "{name}, step {step}");
-            assert!(report.least_pressure > 0.0, "{name}, step {step}: {report:?}");
+        for kind in ["walls", "from_air"] {
+            let liquid = format!("separation = \"{kind}\"\n{}{obstacles}", filled([1.0, 0.5]));
+            let mut simulation = start(&domain([20, 20, 4], dx, -GRAVITY, &liquid));
+            for step in 0..100 {
+                let report = separation(&simulation.step().unwrap());
+                assert_eq!((report.cells, report.rounds), (0, 1), "{name}, {kind}, step {step}");
+                assert!(report.least_pressure > 0.0, "{name}, {kind}, step {step}: {report:?}");
+            }
         }
     }
 }

@@ -190,6 +190,31 @@ fn pressures_and_openings_beside_elastic_solids_are_complementary_on_the_device(
     }
 }
 
+/// The same beside elastic solids, in both forms.
+#[test]
+fn sets_beside_elastic_solids_cost_little() {
+    if !gpu().is_some_and(|gpu| gpu.has_f64()) {
+        return;
+    }
+    for (name, text) in elastic_bodies() {
+        for solver in &SOLVERS[..2] {
+            let [without, with] = ["none", "walls"].map(|kind| {
+                let text = text.replace("\"walls\"", &format!("\"{kind}\""));
+                let mut simulation = on_gpu(&format!("{text}[solver]\n{solver}\n"));
+                let (mut iterations, mut rounds) = (0, 0);
+                for _ in 0..10 {
+                    let report = simulation.step().unwrap();
+                    iterations += report.liquid.unwrap().solve.iterations;
+                    rounds += separation(&report).rounds;
+                }
+                (iterations, rounds)
+            });
+            assert!(with.1 > 15, "{name}, {solver}: the set changes: {with:?}");
+            assert!(10 * with.0 <= 16 * without.0, "{name}, {solver}: {with:?}, {without:?}");
+        }
+    }
+}
+
 #[test]
 fn every_stage_beside_elastic_solids_is_that_of_its_twin() {
     if gpu().is_none() {
