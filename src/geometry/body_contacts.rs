@@ -32,6 +32,8 @@ const SLACK: f64 = 1e-2;
 const NODE_SLACK: f64 = 0.15;
 /// The same for a node beside the inside of a face: surfaces may be inclined to each other.
 const FACE_SLACK: f64 = 0.5;
+/// The same for a node inside the other body, which needs a pair.
+const INSIDE_SLACK: f64 = 0.9;
 
 /// Two points of different bodies that may touch.
 #[derive(Clone, Debug, PartialEq)]
@@ -100,9 +102,13 @@ impl Skin {
             true => sign / distance * arm,
             false => across,
         };
-        let slack = if normal.dot(across) >= FLAT { FACE_SLACK } else { NODE_SLACK };
+        let slack = match nearest.is_inside {
+            true => INSIDE_SLACK,
+            false if normal.dot(across) >= FLAT => FACE_SLACK,
+            false => NODE_SLACK,
+        };
         let mut neighbours = neighbours.iter().map(|&other| positions[other as usize]);
-        if !nearest.is_inside && !is_foremost(x, &mut neighbours, -normal, slack) {
+        if !is_foremost(x, &mut neighbours, -normal, slack) {
             return None;
         }
         let corners = mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize].0);
