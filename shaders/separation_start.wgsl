@@ -1,9 +1,10 @@
 // solve with separation, first: the lanes that may separate, and those that do at the start: what separated in the last
 // sub-step. A cell may where a face is not all open and its component has a free surface; with from_air also only beside air or a
 // cell that separated before, among the 26 neighbours that open faces lead to, one axis after another.
+// Growing, in later rounds: more lanes may, beside the separated ones.
 // One thread per active quad.
 // level. settings: from_air. args, list, flags: active quads (see active). open: apertures for the pressure. separated_before:
-// see separation, of the last sub-step. separated: zero; out.
+// see separation, of the last sub-step. separated: zero; out. Growing: flags without separated lanes; separated in place.
 #import active
 #import dispatch
 #import face_index
@@ -14,9 +15,10 @@
 struct SeparationSettings {
     // 0 or 1
     from_air: u32,
+    // 0 or 1
+    grows: u32,
     pad_0: u32,
     pad_1: u32,
-    pad_2: u32,
 }
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -96,6 +98,10 @@ fn separation_start(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_
                 candidates &= ~(1u << l);
             }
         }
+    }
+    if settings.grows != 0u {
+        separated[quad] |= candidates << CANDIDATES;
+        return;
     }
     let now = separated_before[quad] & candidates;
     separated[quad] = now | candidates << CANDIDATES | now << NEXT;

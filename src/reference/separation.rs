@@ -32,6 +32,8 @@ const ROUNDING: f64 = 1e-6;
 pub struct Separation {
     /// Gamma.
     candidates: Vec<bool>,
+    /// Cells that join Gamma beside separated ones, and the face apertures, where liquid separates from air only.
+    beyond: Option<(Vec<bool>, [Vec<f64>; 3])>,
     /// A.
     cells: Vec<bool>,
     /// Whether the last solution satisfies the conditions of its set.
@@ -46,7 +48,7 @@ pub struct Separation {
 pub struct Candidates<'a> {
     /// Cells that touch a wall or a body, from [`touching_cells`].
     pub touching: &'a [bool],
-    /// Face apertures where only cells beside air, and beside cells that separated, may separate.
+    /// Face apertures where only cells beside air, and beside cells that separate, may separate.
     pub from_air: Option<&'a [Vec<f64>; 3]>,
     /// Cells that separated in the last sub-step; empty for none.
     pub before: &'a [bool],
@@ -78,6 +80,10 @@ impl Separation {
                 may[cell] && touches && with.from_air.is_none_or(air)
             })
             .collect();
+        let beyond = with.from_air.map(|open| {
+            let joins = |cell: usize| may[cell] && with.touching[cell] && stencil.active(cell);
+            ((0..may.len()).map(joins).collect(), open.clone())
+        });
         for &cell in growing.iter().flatten() {
             candidates[cell] = with.touching[cell];
         }
@@ -90,7 +96,7 @@ impl Separation {
             let least = own.min_by(|&a, &b| with.pressure[a].total_cmp(&with.pressure[b]));
             least.into_iter().for_each(|cell| cells[cell] = true);
         }
-        Separation { candidates, cells, settled: true, rate: 0.0, report: SeparationReport::default() }
+        Separation { candidates, beyond, cells, settled: true, rate: 0.0, report: SeparationReport::default() }
     }
 
     /// Gamma.
@@ -158,8 +164,22 @@ impl Separation {
                 self.cells[cell] = false;
                 locked[cell] |= round >= LOCK_ROUND;
             }
+            if round < LOCK_ROUND {
+                self.grow(&system.stencil);
+            }
         }
         unreachable!("the last round returns")
+    }
+
+    /// Adds the cells to Gamma that now have a separated one beside them.
+    fn grow(&mut self, stencil: &Stencil) {
+        let Separation { candidates, beyond, cells, .. } = self;
+        let Some((joins, open)) = beyond else {
+            return;
+        };
+        for (cell, candidate) in candidates.iter_mut().enumerate().filter(|(cell, _)| joins[*cell]) {
+            *candidate = *candidate || beside_air(stencil, open, |at| cells[at], cell);
+        }
     }
 
     /// The report of a solve, with the status `Unsettled` where the rounds ended too early.

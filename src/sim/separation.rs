@@ -70,7 +70,7 @@ impl Rounds<'_> {
             }
             if changed {
                 let fields = (liquid, solver);
-                self.stage.record_system(&mut recorder, fields, unmasked, true);
+                self.stage.record_system(&mut recorder, fields, unmasked, Some(number));
             }
             let tolerance = self.stage.write_round(gpu, (number, self.tolerance), rough);
             let mut update = |to: &mut Recorder| {
@@ -98,7 +98,7 @@ impl Rounds<'_> {
                 self.report.opened = dx * dx * self.dt * sums.opening;
                 if masks {
                     let fields = (liquid, solver);
-                    self.stage.record_system(&mut recorder, fields, unmasked, false);
+                    self.stage.record_system(&mut recorder, fields, unmasked, None);
                 }
                 self.stage.record_settle(&mut recorder, liquid);
                 return Ok((solution, recorder));

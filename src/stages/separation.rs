@@ -26,12 +26,12 @@ const ROUGH: f64 = 1e-2;
 pub struct SeparationSettings {
     /// Whether only cells beside air may separate: 0 or 1.
     pub from_air: u32,
+    /// Whether cells beside the separated ones join those that may: 0 or 1.
+    pub grows: u32,
     /// Padding.
     pub pad_0: u32,
     /// Padding.
     pub pad_1: u32,
-    /// Padding.
-    pub pad_2: u32,
 }
 
 /// Settings of a round.
@@ -85,6 +85,8 @@ impl RoundSums {
 #[derive(Debug)]
 pub struct Separation {
     start: Bound,
+    /// With `from_air`.
+    grow: Option<Bound>,
     guess: Bound,
     mask: Bound,
     update: [Bound; 4],
@@ -108,8 +110,13 @@ impl Separation {
             return Ok(None);
         };
         let gpu = &gpu.at(Stage::Solve.name());
-        let first = SeparationSettings { from_air: u32::from(mode == Mode::FromAir), ..bytemuck::Zeroable::zeroed() };
-        let first = gpu.uniform("liquid.separation_settings", &first)?;
+        let from_air = mode == Mode::FromAir;
+        let settings = |grows| {
+            let settings = SeparationSettings { from_air: from_air.into(), grows, pad_0: 0, pad_1: 0 };
+            gpu.uniform("liquid.separation_settings", &settings)
+        };
+        let first = settings(0)?;
+        let growing = from_air.then(|| settings(1)).transpose()?;
         let round: SeparationRound = bytemuck::Zeroable::zeroed();
         let round = gpu.uniform("liquid.separation_round", &round)?;
         let level = gpu.uniform("solver.level", &solver.plan.level(0))?;
@@ -120,6 +127,9 @@ impl Separation {
         let bound = |source, own: &[_]| Kernel::new(gpu, &source, real)?.bind(gpu, own, tables);
         Ok(Some(Separation {
             start: bound(wgsl!("separation_start"), &[open, ("settings", (&first).into())])?,
+            grow: (growing.as_ref())
+                .map(|growing| bound(wgsl!("separation_start"), &[open, ("settings", growing.into())]))
+                .transpose()?,
             guess: Kernel::new(gpu, &wgsl!("separation_guess"), solver.variant)?.bind(
                 gpu,
                 &[("level", (&level).into())],
@@ -164,21 +174,25 @@ impl Separation {
         });
     }
 
-    /// Records the system without the next set of separated cells, which becomes the present one, or that of all active cells.
+    /// Records the system of a round, without the next set of separated cells, which becomes the present one. In early rounds more cells
+    /// may separate beside it. `None`: the system of all active cells.
     pub fn record_system(
         &self,
         to: &mut Recorder,
         (liquid, solver): (&LiquidBuffers, &SolverBuffers),
         (unmasked, components, seal): (&PressureSystem, &Components, Option<&Seal>),
-        masks: bool,
+        round: Option<u32>,
     ) {
         to.stage(Stage::Solve.name(), |pass| {
-            if masks {
+            if round.is_some() {
                 pass.dispatch_indirect(&self.mask, &liquid.band_args, 0);
             }
-            let system = if masks { &self.masked } else { unmasked };
+            let system = if round.is_some() { &self.masked } else { unmasked };
             system.record(pass, solver, liquid.within());
             components.label(pass, solver, seal);
+            if let Some(grow) = self.grow.as_ref().filter(|_| round.is_some_and(|round| round <= LOCK_ROUND)) {
+                pass.dispatch_indirect(grow, &solver.args, 0);
+            }
         });
     }
 

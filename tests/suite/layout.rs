@@ -125,7 +125,7 @@ fn settings_match() {
     let fields = fields!(ActiveSettings: theta_floor, open_sides, pad_0, pad_1);
     let size = size_of::<ActiveSettings>();
     assert_layout("active_cells", "ActiveSettings", fields, size);
-    let fields = fields!(SeparationSettings: from_air, pad_0, pad_1, pad_2);
+    let fields = fields!(SeparationSettings: from_air, grows, pad_0, pad_1);
     let size = size_of::<SeparationSettings>();
     assert_layout("separation_start", "SeparationSettings", fields, size);
     let fields = fields!(SeparationRound: locks, tolerance, pad_0, pad_1);

@@ -103,8 +103,8 @@ fn a_lifted_plate_leaves_the_water() {
         (bottom - under.map(|x| x[1]).fold(0.0, f64::max)) / dx
     };
     // The plate rose by ten cells. The water that refills the hollow of a cell below it splashes by a few cells.
-    let (with, without) = (gap("walls"), gap("none"));
-    assert!(with > 5.0, "{with} cells below the plate");
+    let [walls, from_air, without] = ["walls", "from_air", "none"].map(gap);
+    assert!(walls > 5.0 && from_air > 5.0, "{walls} and {from_air} cells below the plate");
     assert!(without < 1.0, "{without} cells below the plate");
 }
 
@@ -147,11 +147,13 @@ fn entry(kind: &str) -> (f64, f64) {
 /// Water leaves a cylinder at its sides, and hardly anything pulls at it.
 #[test]
 fn a_cylinder_that_enters_water_drags_a_cavity() {
-    let (angle, least) = entry("walls");
     // The contact line is between markers half a cell apart.
     let between = (0.5 / (ENTRY.1 * ENTRY.3 as f64)).to_degrees();
-    assert!((90.0..96.0 + between).contains(&angle), "wet to {angle} degrees");
-    assert!(least > -0.05, "{least} rho V^2 / 2");
+    for kind in ["walls", "from_air"] {
+        let (angle, least) = entry(kind);
+        assert!((90.0..96.0 + between).contains(&angle), "{kind}: wet to {angle} degrees");
+        assert!(least > -0.05, "{kind}: {least} rho V^2 / 2");
+    }
     let (angle, least) = entry("none");
     assert!(angle > 107.0 && least < -1.0, "without: wet to {angle} degrees, {least} rho V^2 / 2");
 }
@@ -179,11 +181,11 @@ fn water_in_a_box_pulled_down_leaves_the_floor() {
         flight - late - cell < height && height < flight + cell,
         "{height} m after {t} s, in free flight {flight} m"
     );
-    // Air cannot come in below the water.
-    for kind in ["none", "from_air"] {
-        let (height, _) = lowest(kind);
-        assert!(height < cell, "{kind}: {height} m above the floor");
-    }
+    // Air comes in along the sides.
+    let (height, _) = lowest("from_air");
+    assert!(height > 0.5 * flight, "from_air: {height} m above the floor");
+    let (height, _) = lowest("none");
+    assert!(height < cell, "none: {height} m above the floor");
 }
 
 /// Water without a free surface cannot open: its pressure has no level, and its least one is 0.
