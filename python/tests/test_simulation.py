@@ -252,6 +252,7 @@ def test_velocities(both):
 def test_a_steered_gate_moves_as_one_with_keyframes(gate, backend, rounding):
     """Both paths are the same to 1e-16 m; after six sub-steps markers differ by some roundings of positions of about 1 m."""
     gate["time"]["fixed_step"] = 1 / 96
+    gate["liquid"]["surface"] = "markers"
     steered = cutwater.Simulation(gate, backend=backend)
     gate["obstacle"][0]["keyframes"] = [{"t": 0}, {"t": 0.5, "translate": [0, 0.2, 0]}]
     scripted = cutwater.Simulation(gate, backend=backend)
@@ -313,6 +314,7 @@ def test_two_simulations_side_by_side(water, both):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_thread_steps_while_another_draws(water, backend):
+    water["liquid"]["surface"] = "markers"
     sim = cutwater.Simulation(water, backend=backend)
     first = sim.frame
     failures = []

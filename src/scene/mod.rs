@@ -192,7 +192,7 @@ pub struct Liquid {
     pub density: f64,
     /// Initial liquid: the union of the regions, less those that subtract, in order.
     pub regions: Vec<Region>,
-    /// Representation of the surface; default a level, with keys that act on markers alone markers.
+    /// Representation of the surface.
     pub surface: Surface,
     /// Marker radius in cells; default 0.87.
     pub marker_radius: f64,
@@ -828,7 +828,7 @@ pub struct Solver {
     pub precision: Precision,
     /// Default `multigrid`.
     pub preconditioner: Preconditioner,
-    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15, with a level 1e-4.
+    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15.
     pub theta_floor: f64,
     /// Apertures below it close, and above one minus it open; default 1e-3, with nodal face areas 1e-2.
     pub area_clamp: f64,

@@ -568,30 +568,16 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = table.optional("density", 1000.0, |place| density(&place, "water has 1000"))?;
-    let separation = table.optional("separation", Separation::None, |place| {
-        place.choice(&[("none", Separation::None), ("walls", Separation::Walls), ("from_air", Separation::FromAir)])
-    })?;
-    let separates = separation != Separation::None;
-    // Keys that act on markers alone imply them.
-    let of_markers = separates || table.get("marker_radius").is_some() || root.get("surface").is_some();
-    let default = if of_markers { Surface::Markers } else { Surface::Level };
-    let surface = table.optional("surface", default, |place| {
+    let surface = table.optional("surface", Surface::Markers, |place| {
         let surface =
-            place.choice(&[("level", Surface::Level), ("markers", Surface::Markers), ("fixed", Surface::Fixed)])?;
+            place.choice(&[("markers", Surface::Markers), ("level", Surface::Level), ("fixed", Surface::Fixed)])?;
         place.ensure(
             surface != Surface::Fixed || !domain.open.any(),
             "fixes the surface, and liquid leaves through open sides (domain.open)",
-            "remove the line, or close all sides",
+            "use surface = \"markers\", or close all sides",
         )?;
         Ok(surface)
     })?;
-    if let Some(place) = table.get("separation") {
-        place.ensure(
-            !separates || surface == Surface::Markers,
-            "lets liquid leave walls, which needs a surface of markers",
-            "use surface = \"markers\", or separation = \"none\"",
-        )?;
-    }
     let marker_radius = table.optional("marker_radius", 0.87, |place| {
         let cure = "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
         place.number_within("the marker radius in cells", MARKER_RADII, cure)
@@ -600,8 +586,25 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let moves = surface != Surface::Fixed;
     let volume_control = table.optional("volume_control", moves, |place| {
         let on = place.boolean()?;
-        place.ensure(!on || moves, "a fixed surface has no volume control", "remove it, or use surface = \"level\"")?;
+        place.ensure(
+            !on || moves,
+            "a fixed surface has no volume control",
+            "remove it, or use surface = \"markers\"",
+        )?;
         Ok(on)
+    })?;
+    let separation = table.optional("separation", Separation::None, |place| {
+        let separation = place.choice(&[
+            ("none", Separation::None),
+            ("walls", Separation::Walls),
+            ("from_air", Separation::FromAir),
+        ])?;
+        place.ensure(
+            separation == Separation::None || surface == Surface::Markers,
+            "lets liquid leave walls, which needs a surface of markers",
+            "use surface = \"markers\", or separation = \"none\"",
+        )?;
+        Ok(separation)
     })?;
     // Sources may fill an empty domain.
     let sources = root.get("source").is_some();
