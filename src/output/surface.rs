@@ -34,6 +34,9 @@ const LEVEL: f32 = 2.0 / 27.0;
 
 const CUBE: f32 = 0.5;
 
+/// Distance of the samples of a distance from its zero level, cells, at least.
+const OFF_LEVEL: f32 = 1e-6;
+
 /// Half the spacing of markers, eight per cell.
 const HALF_SPACING: f32 = 0.25;
 
@@ -92,10 +95,12 @@ impl LiquidSurface {
                     let ijk = [i, j, k];
                     let outermost = (0..3).any(|axis| ijk[axis] == 0 || ijk[axis] == n[axis] - 1);
                     let inner = [0, 1, 2].map(|axis| ijk[axis].clamp(LAYERS, n[axis] - 1 - LAYERS) - LAYERS);
-                    depths.push(match outermost {
+                    let depth = match outermost {
                         true => -1.0,
                         false => -distance[grid.cell(inner)] / grid.dx as f32,
-                    });
+                    };
+                    // Marching cubes by splashsurf fail where a sample is the level.
+                    depths.push(if depth == 0.0 { -OFF_LEVEL } else { depth });
                 }
             }
         }

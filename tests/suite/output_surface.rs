@@ -131,6 +131,28 @@ fn a_fixed_surface_is_where_its_distance_says() {
     }
 }
 
+/// Liquid and an obstacle whose sides pass through centres of cells, where distances are 0.
+#[test]
+fn surfaces_through_centres_are_closed() {
+    let Some(python) = python() else { return };
+    for surface in ["level", "fixed"] {
+        let run = tempfile::tempdir().unwrap();
+        let liquid = format!(
+            "[liquid]\nsurface = '{surface}'\n[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, 0.265625, 0.5] }}\n\
+             [[obstacle]]\nbox = {{ min = [0.484375, 0, 0.109375], max = [0.609375, 0.359375, 0.359375] }}"
+        );
+        let scene = scene("[32, 16, 16]", &liquid);
+        let state = state(&scene);
+        // A level is shifted until it has the volume of its region; with it the distance to the obstacle is 0.
+        assert!(surface == "level" || state.liquid_distance.contains(&0.0));
+        write(run.path(), &scene, &state);
+        let mesh = read_both(&python, run.path());
+        assert_eq!(mesh["watertight"], true, "{surface}");
+        assert_eq!(mesh["winding"], true, "{surface}");
+        assert_eq!(mesh["coincident"], 0, "{surface}");
+    }
+}
+
 #[test]
 fn no_liquid_is_an_empty_surface() {
     let Some(python) = python() else { return };
