@@ -88,8 +88,8 @@ impl Skin {
         low.cmple(self.high + reach).all() && high.cmpge(self.low - reach).all()
     }
 
-    /// The pair of a node of another body and the nearest point of this surface within `reach` (m), unless the node is outside and neighbours
-    /// of it are nearer.
+    /// The pair of a node of another body and the nearest point of this surface within `reach` (m), unless neighbours of the node are nearer,
+    /// or deeper inside.
     fn beside(&self, (node, neighbours): &(u32, Vec<u32>), positions: &[DVec3], reach: f64) -> Option<ContactPair> {
         let mesh = &self.mesh;
         let x = positions[*node as usize];
