@@ -89,6 +89,17 @@ fn a_sub_step_is_that_of_the_twin() {
     }
 }
 
+/// Iterations and rounds of a number of sub-steps.
+fn cost(mut simulation: Simulation, steps: usize) -> (u32, u32) {
+    let (mut iterations, mut rounds) = (0, 0);
+    for _ in 0..steps {
+        let report = simulation.step().unwrap();
+        iterations += report.liquid.unwrap().solve.iterations;
+        rounds += separation(&report).rounds;
+    }
+    (iterations, rounds)
+}
+
 /// Rough solves find the set: together they cost at most 60 % of a solve. Where the host refines they start from zero, and cost more.
 #[test]
 fn a_set_that_changes_costs_little() {
@@ -96,14 +107,8 @@ fn a_set_that_changes_costs_little() {
         return;
     }
     let [without, with] = ["none", "walls"].map(|kind| {
-        let (mut simulation, _) = wave(kind);
-        let (mut iterations, mut rounds) = (0, 0);
-        for _ in 0..8 {
-            let report = simulation.step().unwrap();
-            iterations += report.liquid.unwrap().solve.iterations;
-            rounds += separation(&report).rounds;
-        }
-        (iterations, rounds)
+        let (simulation, _) = wave(kind);
+        cost(simulation, 8)
     });
     assert!(with.1 > 16, "the set changes: {with:?}");
     assert!(10 * with.0 <= 16 * without.0, "{with:?}, {without:?}");
@@ -200,14 +205,7 @@ fn sets_beside_elastic_solids_cost_little() {
         for solver in &SOLVERS[..2] {
             let [without, with] = ["none", "walls"].map(|kind| {
                 let text = text.replace("\"walls\"", &format!("\"{kind}\""));
-                let mut simulation = on_gpu(&format!("{text}[solver]\n{solver}\n"));
-                let (mut iterations, mut rounds) = (0, 0);
-                for _ in 0..10 {
-                    let report = simulation.step().unwrap();
-                    iterations += report.liquid.unwrap().solve.iterations;
-                    rounds += separation(&report).rounds;
-                }
-                (iterations, rounds)
+                cost(on_gpu(&format!("{text}[solver]\n{solver}\n")), 10)
             });
             assert!(with.1 > 15, "{name}, {solver}: the set changes: {with:?}");
             assert!(10 * with.0 <= 16 * without.0, "{name}, {solver}: {with:?}, {without:?}");
