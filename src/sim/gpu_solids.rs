@@ -252,18 +252,23 @@ impl GpuSolids {
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let GpuSolids { buffers, system, stages, .. } = self;
         if let Some(contacts) = &self.contacts {
-            let displacement = || contacts.displacement(gpu, buffers);
             let dx = buffers.plan.grid.dx;
-            let mut last = Vec::new();
+            // Solves leave the displacement as it is: it is read back once.
+            let (mut displacement, mut last) = (Vec::new(), Vec::new());
             let mut rows = |velocity: &[f64], known: &[Row]| {
+                if displacement.is_empty() {
+                    displacement = contacts.displacement(gpu, buffers)?;
+                }
                 velocity.clone_into(&mut last);
-                Ok(contacts.touching(&self.solids, dx, &displacement()?, |touching| touching.rows(velocity, known)))
+                Ok(contacts.touching(&self.solids, dx, &displacement, |touching| touching.rows(velocity, known)))
             };
             let with = (system, buffers);
             let rows_of = (&mut rows as RowsOf, MOST_MEETINGS);
             let solved = stages.solve.solve_in_rows(gpu, recorder, with, polynomial, rows_of)?;
             let (outcome, mut contact, times) = solved;
-            contacts.touching(&self.solids, dx, &displacement()?, |touching| touching.shorten(&last, &mut contact));
+            if !last.is_empty() {
+                contacts.touching(&self.solids, dx, &displacement, |touching| touching.shorten(&last, &mut contact));
+            }
             return Ok((outcome, contact, times));
         }
         let mut iterations = 0;
