@@ -4,7 +4,7 @@
 // is the face aperture. The diagonal also includes aperture / theta towards air, and aperture / (1/2) on open sides
 // of the domain.
 // Only quads with liquid are written; all arrays are zero elsewhere. One thread per quad that may contain liquid.
-// level: the level. settings: theta floor, whether sides are open. list, args: those quads. liquid_distance: per
+// level: the level. settings: theta floors, whether sides are open. list, args: those quads. liquid_distance: per
 // cell, m. open: apertures of the minus faces along x, y, z; closed where not above 0. flags: per quad, active and held
 // lanes (see active) and UNIFORM. matrix: see level.
 #import active
@@ -12,14 +12,6 @@
 #import level
 #import real
 #import ghost_fluid
-
-struct ActiveSettings {
-    theta_floor: f32,
-    // 0 or 1
-    open_sides: u32,
-    pad_0: f32,
-    pad_1: f32,
-}
 
 @group(0) @binding(0) var<uniform> level: Level;
 @group(0) @binding(1) var<uniform> settings: ActiveSettings;
@@ -66,7 +58,8 @@ fn face(inside: vec4<f32>, outside: vec4<f32>, area: vec4<f32>) -> Face {
             if outside[l] < 0.0 {
                 out.weight[l] = Real(area[l]);
             } else {
-                out.dirichlet[l] = Real(area[l]) / Real(ghost_theta(inside[l], outside[l], settings.theta_floor));
+                let floor = face_theta_floor(settings, area[l]);
+                out.dirichlet[l] = Real(area[l]) / Real(ghost_theta(inside[l], outside[l], floor));
             }
         }
     }

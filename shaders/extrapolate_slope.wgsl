@@ -1,6 +1,6 @@
 // extrapolate with a level, after the first layer: faces beside the liquid continue its slope. Each valid neighbour u1
-// beside a face adds the limited slope of the valid faces u1, u2, u3 in a row behind it to the mean, at most dx / (2 dt)
-// (equation and reason in the twin, reference/extrapolate.rs).
+// beside a face adds the limited slope of the valid faces u1, u2, u3 in a row behind it to the mean
+// (equation, limits and reason in the twin, reference/extrapolate.rs).
 // Valid faces are never written and others never used but their own, so the order of the threads does not matter. One
 // thread per quad of the band.
 // level, step. band_args, band_list: the band. valid_in: before the layer, see valid. velocity: faces, m/s, in place.
@@ -59,7 +59,7 @@ fn slope(side: Side, bit: u32, face: u32) -> vec2<f32> {
     let far = middle - velocity[face + 3u * stride];
     let rises = has.y && sign(near) == sign(far);
     let central = 0.5 * (abs(near) + abs(far));
-    let limited = min(min(central, 2.0 * min(abs(near), abs(far))), 0.5 * step.dx / step.dt);
+    let limited = min(min(central, 2.0 * min(abs(near), abs(far))), step.largest_slope);
     return vec2<f32>(select(0.0, sign(near) * limited, rises), f32(has.x));
 }
 

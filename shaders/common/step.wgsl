@@ -18,8 +18,9 @@ struct Step {
     density: f32,
     // Radius of the spheres around markers, cells.
     marker_radius: f32,
-    theta_floor: f32,
     n_markers: u32,
     // Open sides of the domain, see walls.
     open_sides: u32,
+    // Of the velocity beyond a level, m/s per cell.
+    largest_slope: f32,
 }

@@ -6,6 +6,7 @@ use crate::effects::Effects;
 use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Compaction, Gpu, Real, WG_SIZE, groups};
 use crate::grid::{Axis, Grid, Layout, Padded};
+use crate::scene::SLIVER;
 use crate::state::State;
 
 use super::Report;
@@ -32,12 +33,12 @@ pub struct Step {
     pub density: f32,
     /// Radius of the spheres around markers, cells.
     pub marker_radius: f32,
-    /// Smallest theta of the ghost fluid method.
-    pub theta_floor: f32,
     /// Markers in the buffer, including deleted ones.
     pub n_markers: u32,
     /// Open sides of the domain, as [`Sides::bits`](crate::grid::Sides::bits).
     pub open_sides: u32,
+    /// Largest slope of the velocity beyond a level, as [`TimeStep::largest_slope`](crate::reference::TimeStep::largest_slope), m/s.
+    pub largest_slope: f32,
 }
 
 /// Sizes of [`LiquidBuffers`].
@@ -71,8 +72,6 @@ impl LiquidPlan {
 const OPEN: usize = 16;
 /// Bit of `valid`: the quad has small-aperture faces, open by less than [`SLIVER`].
 const SLIVERS: u32 = 1 << 31;
-/// Aperture below which an open face is a small-aperture face. Also in `common/valid.wgsl`.
-const SLIVER: f32 = 0.2;
 /// Words of [`LiquidBuffers::separation_sums`].
 pub(crate) const SEPARATION_SUMS: usize = 8;
 /// Largest number of threads of a reduction.
@@ -296,7 +295,7 @@ impl LiquidBuffers {
             for bit in 0..12 {
                 let face = 4 * (bit / 4 * self.padded.quads + quad) + bit % 4;
                 *word |= u32::from(open[face] > 0.0) << (OPEN + bit);
-                if open[face] > 0.0 && open[face] < SLIVER {
+                if open[face] > 0.0 && f64::from(open[face]) < SLIVER {
                     *word |= SLIVERS;
                 }
             }

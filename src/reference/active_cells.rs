@@ -8,6 +8,7 @@
 use super::pressure_system::Stencil;
 use crate::geometry::Coupling;
 use crate::grid::{Axis, Grid};
+use crate::scene::ThetaFloor;
 
 /// The unknowns of a projection.
 #[derive(Clone, Debug)]
@@ -51,7 +52,13 @@ pub fn theta(inside: f64, outside: f64, floor: f64) -> f64 {
 pub(super) const THETA_OF_SIDES: f64 = 0.5;
 
 /// Computes the active cells. `open`: face apertures, 0 on walls; `liquid_distance`: phi per cell, m.
-pub fn active_cells(grid: &Grid, open: &[Vec<f64>; 3], liquid_distance: &[f64], theta_floor: f64) -> ActiveCells {
+pub fn active_cells(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    liquid_distance: &[f64],
+    theta_floor: impl Into<ThetaFloor>,
+) -> ActiveCells {
+    let theta_floor = theta_floor.into();
     let mut weight = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
     let mut dirichlet = vec![0.0; grid.n_cells()];
     for axis in Axis::ALL {
@@ -68,8 +75,8 @@ pub fn active_cells(grid: &Grid, open: &[Vec<f64>; 3], liquid_distance: &[f64], 
             let phi = [liquid_distance[minus], liquid_distance[plus]];
             match [phi[0] < 0.0, phi[1] < 0.0] {
                 [true, true] => weight[a][face] = fraction,
-                [true, false] => dirichlet[minus] += fraction / theta(phi[0], phi[1], theta_floor),
-                [false, true] => dirichlet[plus] += fraction / theta(phi[1], phi[0], theta_floor),
+                [true, false] => dirichlet[minus] += fraction / theta(phi[0], phi[1], theta_floor.of(fraction)),
+                [false, true] => dirichlet[plus] += fraction / theta(phi[1], phi[0], theta_floor.of(fraction)),
                 [false, false] => {}
             }
         }

@@ -72,6 +72,11 @@ impl CoupledSystem {
         self.pressure.closed.iter().chain(&self.constrained)
     }
 
+    /// Cells of each liquid component without a free surface whose room bodies make: B alone does not determine its pressure level.
+    pub fn room_of_bodies(&self) -> impl Iterator<Item = &Vec<usize>> {
+        self.pressure.sealed.iter().filter(|cells| !self.constrained.contains(cells))
+    }
+
     /// Number of cells of the grid: index of the first velocity in a vector.
     pub fn n_cells(&self) -> usize {
         self.pressure.rhs.len()

@@ -10,10 +10,10 @@
 //! to the face:
 //!
 //! ```text
-//! sign(a) min((|a| + |b|) / 2, 2 |a|, 2 |b|, dx / (2 dt))     a = u1 - u2 and b = u2 - u3 of the same sign, else 0
+//! sign(a) min((|a| + |b|) / 2, 2 |a|, 2 |b|, s)     a = u1 - u2 and b = u2 - u3 of the same sign, else 0
 //! ```
 //!
-//! A constant extension lets a wave of 20 cells lose four times as much, and min(|a|, |b|) makes its period 2.3 % too long.
+//! s is the [largest slope](super::TimeStep::largest_slope). A constant extension lets a wave of 20 cells lose four times as much, and min(|a|, |b|) makes its period 2.3 % too long.
 //! With a parabola waves of 28 cells grow, and an unlimited slope doubles the energy of a splash.
 //!
 //! Small-aperture faces contribute blended velocities ([`super::slivers`]) and recover their own afterwards.
@@ -84,7 +84,7 @@ pub fn extrapolate(
     extrapolate_with_slope(grid, cut, walls, valid, (layers, 0.0), faces);
 }
 
-/// The same with the slope of the liquid in the first layer. `largest`: largest difference from face to face, m/s.
+/// The same with the slope of the liquid in the first layer. `largest`: see [`TimeStep::largest_slope`](super::TimeStep::largest_slope).
 pub fn extrapolate_with_slope(
     grid: &Grid,
     cut: &CutCells,

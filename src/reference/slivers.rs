@@ -18,9 +18,7 @@
 use rayon::prelude::*;
 
 use crate::grid::{Axis, Grid};
-
-/// Aperture below which a face is a small-aperture face.
-const SLIVER: f64 = 0.2;
+use crate::scene::SLIVER;
 
 /// Whether an aperture is that of a small-aperture face.
 pub fn is_sliver(open: f64) -> bool {

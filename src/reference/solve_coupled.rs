@@ -92,9 +92,15 @@ impl Formulation<'_> {
         }
     }
 
-    /// The formulation for a system of this size.
+    /// The formulation for a system of this size. A component of liquid that only bodies give room makes B singular, and
+    /// the indefinite matrix is then not quasi-definite.
     pub fn of(system: &CoupledSystem) -> Formulation<'static> {
-        if system.n_unknowns() <= DIRECT_UNKNOWNS { Formulation::Indefinite } else { Formulation::Condensed }
+        let definite = system.room_of_bodies().next().is_none();
+        if definite && system.n_unknowns() <= DIRECT_UNKNOWNS {
+            Formulation::Indefinite
+        } else {
+            Formulation::Condensed
+        }
     }
 }
 

@@ -38,6 +38,12 @@ impl TimeStep {
     /// No time passes.
     pub const NONE: TimeStep =
         TimeStep { dt: 0.0, floored: false, control_time: f64::INFINITY, wave_cfl: 0.0, motion: 0.0 };
+
+    /// Largest slope by which the velocity of a liquid with a level continues beyond its surface, m/s per cell: dx / (2 dt), dt at least the limit of
+    /// waves. Waves have less. A steeper one is an impact's, whose jets would gain energy, the more the shorter the sub-steps.
+    pub fn largest_slope(&self, dx: f64) -> f64 {
+        0.5 * dx * (self.wave_cfl / WAVE_CFL).min(1.0) / self.dt.max(f64::MIN_POSITIVE)
+    }
 }
 
 /// Limits of the sub-steps of a scene.

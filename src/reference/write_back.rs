@@ -5,6 +5,7 @@
 use super::active_cells::{THETA_OF_SIDES, theta};
 use super::pressure_system::PressureSystem;
 use crate::grid::Axis;
+use crate::scene::ThetaFloor;
 
 /// Updates u* (m/s) in place and returns, per face, whether its velocity is valid. `pressure` solves the system, Pa.
 /// `open`, phi (`liquid_distance`, m) and the floor of theta are those of the matrix.
@@ -13,10 +14,11 @@ pub fn write_back(
     pressure: &[f64],
     open: &[Vec<f64>; 3],
     liquid_distance: &[f64],
-    theta_floor: f64,
+    theta_floor: impl Into<ThetaFloor>,
     velocity: &mut [Vec<f64>; 3],
 ) -> [Vec<bool>; 3] {
     let (grid, phi) = (&system.stencil.grid, liquid_distance);
+    let theta_floor = theta_floor.into();
     let factor = system.scale / (grid.dx * grid.dx);
     Axis::ALL.map(|axis| {
         let a = axis.index();
@@ -27,9 +29,10 @@ pub fn write_back(
                 return false;
             }
             let [minus, plus] = sides.map(|cell| cell.map_or(0.0, |cell| pressure[cell]));
+            let floor = theta_floor.of(open[a][face]);
             let theta = match (sides, active) {
-                ([Some(minus), Some(plus)], [true, false]) => theta(phi[minus], phi[plus], theta_floor),
-                ([Some(minus), Some(plus)], [false, true]) => theta(phi[plus], phi[minus], theta_floor),
+                ([Some(minus), Some(plus)], [true, false]) => theta(phi[minus], phi[plus], floor),
+                ([Some(minus), Some(plus)], [false, true]) => theta(phi[plus], phi[minus], floor),
                 ([Some(_), Some(_)], _) => 1.0,
                 _ => THETA_OF_SIDES,
             };

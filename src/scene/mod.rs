@@ -192,7 +192,7 @@ pub struct Liquid {
     pub density: f64,
     /// Initial liquid: the union of the regions, less those that subtract, in order.
     pub regions: Vec<Region>,
-    /// Representation of the surface.
+    /// Representation of the surface; default a level, with keys that act on markers alone markers.
     pub surface: Surface,
     /// Marker radius in cells; default 0.87.
     pub marker_radius: f64,
@@ -817,6 +817,37 @@ impl ProbeKind {
     }
 }
 
+/// Smallest theta of the ghost fluid method: the distance of the surface from a cell's centre, in cells.
+///
+/// A face that is hardly open has hardly any liquid to move, and its velocity, pressure over theta, is not bounded by the energy: liquid that is
+/// trapped in a film under a drop would leave it at tens of times the speed of the impact. Faces whose aperture is below [`SLIVER`] have a larger
+/// floor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThetaFloor {
+    /// Of faces open by [`SLIVER`] and more.
+    pub whole: f64,
+    /// Of faces that are about closed; between them the floor is linear in the aperture.
+    pub closing: f64,
+}
+
+/// Aperture below which an open face is a small-aperture face. Also in `common/valid.wgsl`.
+pub const SLIVER: f64 = 0.2;
+
+impl ThetaFloor {
+    /// The floor of a face with an aperture.
+    #[inline]
+    pub fn of(self, aperture: f64) -> f64 {
+        self.whole.max(self.closing * (1.0 - aperture / SLIVER))
+    }
+}
+
+impl From<f64> for ThetaFloor {
+    /// The same for all faces.
+    fn from(whole: f64) -> ThetaFloor {
+        ThetaFloor { whole, closing: 0.0 }
+    }
+}
+
 /// Solver settings of a sub-step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solver {
@@ -828,8 +859,8 @@ pub struct Solver {
     pub precision: Precision,
     /// Default `multigrid`.
     pub preconditioner: Preconditioner,
-    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15.
-    pub theta_floor: f64,
+    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15, with a level 1e-4 and on its slivers up to 0.15.
+    pub theta_floor: ThetaFloor,
     /// Apertures below it close, and above one minus it open; default 1e-3, with nodal face areas 1e-2.
     pub area_clamp: f64,
     /// Source of the apertures beside elastic solids; default `clipped`.
@@ -851,7 +882,7 @@ impl Default for Solver {
             max_iterations: 200,
             precision: Precision::Mixed,
             preconditioner: Preconditioner::Multigrid,
-            theta_floor: 1e-2,
+            theta_floor: ThetaFloor::from(1e-2),
             area_clamp: 1e-3,
             face_areas: FaceAreas::Clipped,
             coupling: CouplingScheme::Strong,

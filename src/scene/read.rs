@@ -17,7 +17,7 @@ use super::sources_sinks::{sinks, sources};
 use super::surface::surface;
 use super::{
     CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output, PatchPressure, Precision,
-    Preconditioner, Region, SHORTEST_STEP, Scene, Separation, Shape, Solid, Solver, Surface, Time,
+    Preconditioner, Region, SHORTEST_STEP, Scene, Separation, Shape, Solid, Solver, Surface, ThetaFloor, Time,
 };
 use crate::error::Error;
 use crate::grid::{Axis, Sides};
@@ -568,16 +568,30 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = table.optional("density", 1000.0, |place| density(&place, "water has 1000"))?;
-    let surface = table.optional("surface", Surface::Markers, |place| {
+    let separation = table.optional("separation", Separation::None, |place| {
+        place.choice(&[("none", Separation::None), ("walls", Separation::Walls), ("from_air", Separation::FromAir)])
+    })?;
+    let separates = separation != Separation::None;
+    // Keys that act on markers alone imply them.
+    let of_markers = separates || table.get("marker_radius").is_some() || root.get("surface").is_some();
+    let default = if of_markers { Surface::Markers } else { Surface::Level };
+    let surface = table.optional("surface", default, |place| {
         let surface =
-            place.choice(&[("markers", Surface::Markers), ("level", Surface::Level), ("fixed", Surface::Fixed)])?;
+            place.choice(&[("level", Surface::Level), ("markers", Surface::Markers), ("fixed", Surface::Fixed)])?;
         place.ensure(
             surface != Surface::Fixed || !domain.open.any(),
             "fixes the surface, and liquid leaves through open sides (domain.open)",
-            "use surface = \"markers\", or close all sides",
+            "remove the line, or close all sides",
         )?;
         Ok(surface)
     })?;
+    if let Some(place) = table.get("separation") {
+        place.ensure(
+            !separates || surface == Surface::Markers,
+            "lets liquid leave walls, which needs a surface of markers",
+            "use surface = \"markers\", or separation = \"none\"",
+        )?;
+    }
     let marker_radius = table.optional("marker_radius", 0.87, |place| {
         let cure = "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
         place.number_within("the marker radius in cells", MARKER_RADII, cure)
@@ -586,25 +600,8 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let moves = surface != Surface::Fixed;
     let volume_control = table.optional("volume_control", moves, |place| {
         let on = place.boolean()?;
-        place.ensure(
-            !on || moves,
-            "a fixed surface has no volume control",
-            "remove it, or use surface = \"markers\"",
-        )?;
+        place.ensure(!on || moves, "a fixed surface has no volume control", "remove it, or use surface = \"level\"")?;
         Ok(on)
-    })?;
-    let separation = table.optional("separation", Separation::None, |place| {
-        let separation = place.choice(&[
-            ("none", Separation::None),
-            ("walls", Separation::Walls),
-            ("from_air", Separation::FromAir),
-        ])?;
-        place.ensure(
-            separation == Separation::None || surface == Surface::Markers,
-            "lets liquid leave walls, which needs a surface of markers",
-            "use surface = \"markers\", or separation = \"none\"",
-        )?;
-        Ok(separation)
     })?;
     // Sources may fill an empty domain.
     let sources = root.get("source").is_some();
@@ -729,8 +726,8 @@ const NODAL_AREA_CLAMP: f64 = 1e-2;
 fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, rubs: bool) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
-            Some(Surface::Markers) => MARKER_THETA_FLOOR,
-            Some(Surface::Level) => LEVEL_THETA_FLOOR,
+            Some(Surface::Markers) => ThetaFloor::from(MARKER_THETA_FLOOR),
+            Some(Surface::Level) => ThetaFloor { whole: LEVEL_THETA_FLOOR, closing: MARKER_THETA_FLOOR },
             Some(Surface::Fixed) | None => Solver::default().theta_floor,
         },
         solid_contact: rubs && has_solids,
@@ -763,11 +760,9 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, rubs: bool) 
         }
     }
     solver.theta_floor = table.optional("theta_floor", solver.theta_floor, |place| {
-        place.positive_within(
-            "the smallest distance to the surface in cells",
-            1e-6..=0.5,
-            "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers",
-        )
+        let cure = "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers";
+        let floor = place.positive_within("the smallest distance to the surface in cells", 1e-6..=0.5, cure)?;
+        Ok(ThetaFloor::from(floor))
     })?;
     coupled_solver(&table, surface.is_some() && has_solids, &mut solver)?;
     solver.solid_contact = table.optional("solid_contact", solver.solid_contact, |place| {

@@ -566,7 +566,7 @@ impl GpuLiquid {
     pub(super) fn step_numbers(&self, scene: &Scene, head: &State, time_step: TimeStep) -> Step {
         let TimeStep { dt, control_time, .. } = time_step;
         let inflow = self.inflow(self.running_after(head), dt);
-        let Scene { domain, solver, .. } = scene;
+        let domain = &scene.domain;
         let (grid, effects) = (scene.grid(), &self.buffers.plan.effects);
         Step {
             gravity: domain.mean_gravity([head.time, head.time + dt]).as_vec3().to_array(),
@@ -578,9 +578,9 @@ impl GpuLiquid {
             volume_0: if effects.volume_control || effects.level { (self.volume_0 + inflow) as f32 } else { 0.0 },
             density: self.settings.density as f32,
             marker_radius: self.settings.marker_radius as f32,
-            theta_floor: solver.theta_floor as f32,
             n_markers: self.n_slots() as u32,
             open_sides: domain.open.bits(),
+            largest_slope: time_step.largest_slope(grid.dx) as f32,
         }
     }
 }
@@ -613,7 +613,7 @@ impl LiquidStages {
         let mode = mode.unwrap_or(scene::Separation::None);
         Ok(LiquidStages {
             separation: Separation::new(gpu, liquid, solver, mode, free_surface)?,
-            own: stages::liquid_stages(gpu, liquid, solver, level, taps)?,
+            own: stages::liquid_stages(gpu, liquid, solver, level, (free_surface, taps))?,
             beside_bodies: match effects.clips() {
                 true => Vec::new(),
                 false => {

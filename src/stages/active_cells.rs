@@ -4,6 +4,7 @@ use crate::Error;
 use crate::fields::{LiquidBuffers, SolverBuffers, everywhere};
 use crate::gpu::{Bound, Buffer, CompactKernels, Compaction, Gpu, Pass, bind};
 use crate::grid::Grid;
+use crate::scene::ThetaFloor;
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -63,15 +64,15 @@ pub struct PressureSystem {
 #[derive(Clone, Copy, Debug)]
 pub struct FreeSurface {
     /// Smallest distance to the surface, cells.
-    pub theta_floor: f64,
+    pub theta_floor: ThetaFloor,
     /// Whether it is 0 on the planes of open sides of the domain too: those whose faces are open.
     pub open_sides: bool,
 }
 
-impl From<f64> for FreeSurface {
+impl<Floor: Into<ThetaFloor>> From<Floor> for FreeSurface {
     /// On the surface of a liquid between walls.
-    fn from(theta_floor: f64) -> FreeSurface {
-        FreeSurface { theta_floor, open_sides: false }
+    fn from(theta_floor: Floor) -> FreeSurface {
+        FreeSurface { theta_floor: theta_floor.into(), open_sides: false }
     }
 }
 
@@ -79,14 +80,25 @@ impl From<f64> for FreeSurface {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ActiveSettings {
-    /// Smallest theta.
+    /// Smallest theta, as [`ThetaFloor::whole`].
     pub theta_floor: f32,
-    /// 1 where sides of the domain are open.
+    /// As [`ThetaFloor::closing`].
+    pub closing_theta_floor: f32,
+    /// Not 0 where sides of the domain are open.
     pub open_sides: u32,
     /// Nothing.
-    pub pad_0: f32,
-    /// Nothing.
-    pub pad_1: f32,
+    pub pad: f32,
+}
+
+impl From<FreeSurface> for ActiveSettings {
+    fn from(FreeSurface { theta_floor, open_sides }: FreeSurface) -> ActiveSettings {
+        ActiveSettings {
+            theta_floor: theta_floor.whole as f32,
+            closing_theta_floor: theta_floor.closing as f32,
+            open_sides: open_sides.into(),
+            pad: 0.0,
+        }
+    }
 }
 
 impl PressureSystem {
@@ -100,15 +112,12 @@ impl PressureSystem {
         free_surface: impl Into<FreeSurface>,
     ) -> Result<PressureSystem, Error> {
         let gpu = &gpu.at(Stage::ActiveCells.name());
-        let FreeSurface { theta_floor, open_sides } = free_surface.into();
         let SolverBuffers { plan, variant, flags, list, args, scratch, .. } = buffers;
         let inner = variant.inner;
         let levels = (0..plan.len())
             .map(|level| gpu.uniform("solver.level", &plan.level(level)))
             .collect::<Result<Vec<_>, _>>()?;
-        let settings =
-            ActiveSettings { theta_floor: theta_floor as f32, open_sides: open_sides.into(), pad_0: 0.0, pad_1: 0.0 };
-        let settings = gpu.uniform("solver.active_settings", &settings)?;
+        let settings = gpu.uniform("solver.active_settings", &ActiveSettings::from(free_surface.into()))?;
         let clear_system = levels.iter().map(|level| {
             let own = [("level", level.into())];
             bind(gpu, &wgsl!("clear_system"), inner, own, &[buffers])

@@ -82,7 +82,7 @@ pub fn liquid_stages(
     liquid: &LiquidBuffers,
     solver: &SolverBuffers,
     level: Option<&LevelBuffers>,
-    taps: ExchangeBuffers,
+    (free_surface, taps): (FreeSurface, ExchangeBuffers),
 ) -> Result<Vec<Dispatches>, Error> {
     let mut stages = vec![
         advect_markers(gpu, liquid, solver, level)?,
@@ -91,7 +91,7 @@ pub fn liquid_stages(
         forces(gpu, liquid)?,
         liquid_distance(gpu, liquid, level, taps.sinks)?,
         right_hand_side(gpu, liquid, level, solver)?,
-        write_back(gpu, liquid, solver)?,
+        write_back(gpu, liquid, solver, free_surface)?,
     ];
     if let Some(level) = level {
         stages.extend(level_stages(gpu, liquid, solver, level, taps)?);

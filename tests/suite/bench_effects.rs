@@ -214,7 +214,7 @@ fn effects_that_are_taken_away_leave_nothing() {
     let Some(_) = gpu() else { return };
     let cases: [(&[&str], &[&str], &[&str]); 11] = [
         (
-            &[POOL, "liquid.volume_control=false"],
+            &[POOL, "liquid.surface=markers", "liquid.volume_control=false"],
             &["liquid.volume_control=true", OPEN, SOURCE, SINK, BALL, HEIGHT],
             &["volume_control", "open_sides", "sources", "sinks", "obstacles", "probes"],
         ),
@@ -224,13 +224,21 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["liquid.surface=markers", OPEN, SOURCE, SINK],
             &["markers"],
         ),
-        (&[POOL, "liquid.volume_control=false", "solver.theta_floor=0.1"], &["liquid.surface=level"], &["level"]),
+        (
+            &[POOL, "liquid.surface=markers", "liquid.volume_control=false", "solver.theta_floor=0.1"],
+            &["liquid.surface=level"],
+            &["level"],
+        ),
         (
             &[POOL, "liquid.surface=level", "liquid.volume_control=false"],
             &["liquid.volume_control=true"],
             &["volume_shift"],
         ),
-        (&[POOL, "liquid.volume_control=false"], &["liquid.separation=walls"], &["separation"]),
+        (
+            &[POOL, "liquid.surface=markers", "liquid.volume_control=false"],
+            &["liquid.separation=walls"],
+            &["separation"],
+        ),
         (
             &[RAFT, NODE],
             &[

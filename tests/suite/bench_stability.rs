@@ -153,7 +153,7 @@ fn hostile_cases_keep_their_energy() {
     assert!(!table.file("stability_limit.csv").exists());
 }
 
-/// One or two of each group on the f64 path, where every solve is direct, with the share of the markers that may be lost: none where
+/// One or two of each group on the f64 path, where solves are direct, with the share of the markers that may be lost: none where
 /// 2,000 sub-steps lose none (docs/measured/stability.md). The tables name no adapter.
 #[test]
 fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
@@ -188,7 +188,9 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
     for (row, (_, most_lost)) in rows.iter().zip(most_lost) {
         assert_sound(row, STEPS_F64);
         assert_eq!(numbers(row, ["missed", "unsettled"]), [0.0; 2], "{row:?}");
-        assert!(!row.has("most_iterations"), "{row:?}");
+        // Where a body alone gives liquid room, B is singular and the solve iterative.
+        let sealed = matches!(row.text("group"), "closed" | "inside");
+        assert!(sealed || !row.has("most_iterations"), "{row:?}");
         assert!(row.number("lost") <= most_lost, "{row:?}");
     }
     let (json, machine) = (table.text("stability.json"), &table.results.machine);

@@ -46,7 +46,7 @@ fn tables_are_complete() {
     // A row and its stages after each of two runs.
     assert_eq!(told, 2 * (1 + stages.len()));
     if gpu.report().timestamps {
-        assert_eq!(stages.len(), 12, "{stages:?}");
+        assert_eq!(stages.len(), 23, "{stages:?}");
         for stage in stages {
             assert_eq!(stage.text("where"), "device", "{stage:?}");
         }

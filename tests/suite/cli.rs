@@ -24,6 +24,12 @@ front = { axis = "x" }
 size = [64, 36]
 "#;
 
+/// Files of the frames 0 to `last` of [`DAM`], and their series.
+fn frame_files(last: usize) -> Vec<String> {
+    let frames = (0..=last).flat_map(|frame| ["vti", "vtp"].map(|kind| format!("dam_{frame:06}.{kind}")));
+    frames.chain(["fields", "markers"].map(|kind| format!("dam_{kind}.pvd"))).collect()
+}
+
 /// A new folder with a scene file `dam.toml`.
 pub(crate) fn folder(scene: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -194,8 +200,7 @@ fn a_run_writes_what_the_page_says() {
         assert!(said.contains(part), "{said}");
     }
     assert_eq!(list(&run), ["checkpoint.npz", "frames", "manifest.json", "preview", "probes.csv", "steps.csv"]);
-    let frames = ["dam_000000.vtp", "dam_000001.vtp", "dam_000002.vtp", "dam_markers.pvd"];
-    assert_eq!(list(&run.join("frames")), frames);
+    assert_eq!(list(&run.join("frames")), frame_files(2));
     assert_eq!(list(&run.join("preview")), ["dam.png", "dam_000000.png", "dam_000001.png", "dam_000002.png"]);
     let manifest = manifest(&run);
     assert_eq!(manifest["progress"]["status"], "finished");
@@ -237,7 +242,7 @@ fn an_earlier_run_is_replaced_only_when_asked() {
     assert!(!message.contains("partial results"), "{message}");
     assert_eq!(fs::read(run.join("steps.csv")).unwrap(), before);
     says(&folder, "run dam.toml --backend cpu --frames 1 --scale 0.5 --overwrite");
-    assert_eq!(list(&run.join("frames")), ["dam_000000.vtp", "dam_000001.vtp", "dam_markers.pvd"]);
+    assert_eq!(list(&run.join("frames")), frame_files(1));
     assert_eq!(manifest(&run)["progress"]["frames_written"], serde_json::json!([0, 1]));
 }
 
@@ -320,7 +325,9 @@ fn solids_in_each_other_are_told() {
 fn a_frame_whose_files_are_gone_is_missed() {
     let folder = folder(DAM);
     says(&folder, "run dam.toml --backend cpu --frames 2 --scale 0.5");
-    fs::remove_file(folder.path().join("out/dam/frames/dam_000001.vtp")).unwrap();
+    for kind in ["vti", "vtp"] {
+        fs::remove_file(folder.path().join(format!("out/dam/frames/dam_000001.{kind}"))).unwrap();
+    }
     let output = ends(cutwater(&folder, "preview out/dam"), 0);
     assert!(text(&output.stdout).contains("2 pictures"));
     let told = text(&output.stderr);
@@ -431,7 +438,8 @@ fn overwriting_removes_a_run_and_nothing_else() {
     says(&folder, "run dam.toml --backend cpu --frames 3");
     fs::write(run.join("frames/mine.txt"), "mine").unwrap();
     says(&folder, again);
-    assert_eq!(list(&run.join("frames")), ["dam_000000.vtp", "dam_000001.vtp", "dam_markers.pvd", "mine.txt"]);
+    let mine = ["mine.txt".to_owned()];
+    assert_eq!(list(&run.join("frames")), [&frame_files(1)[..], &mine].concat());
 }
 
 #[test]
@@ -510,12 +518,13 @@ fn pictures_without_frames_are_refused_before_the_run() {
     let beam = folder(BEAM);
     without(&beam, "--set output.solids=false", "output.solids");
     let dam = folder(DAM);
-    without(&dam, "--set output.particles=false", "output.particles, output.fields or");
+    without(&dam, "--set liquid.surface=markers --set output.particles=false", "output.particles, output.fields or");
     let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
     let both = folder(&(BEAM.to_owned() + region));
     for (off, missing) in [("solids", "solids"), ("particles", "liquid")] {
         // An adapter that is not there ends the run before it begins.
-        let arguments = format!("run dam.toml --preview --adapter nonesuch --set output.{off}=false");
+        let arguments =
+            format!("run dam.toml --preview --adapter nonesuch --set liquid.surface=markers --set output.{off}=false");
         let told = text(&cutwater(&both, &arguments).output().unwrap().stderr);
         let expected = format!("the pictures lack the {missing}: turn output.{off}");
         assert!(told.contains(&expected), "{told}");
@@ -599,8 +608,8 @@ fn an_interrupted_run_keeps_what_it_has() {
     assert_eq!(manifest["progress"]["status"], "interrupted");
     let written = manifest["progress"]["frames_written"].as_array().unwrap().len();
     assert!(written >= 2, "{manifest}");
-    // Frame files and the series; every sub-step that was done has its row.
-    assert_eq!(list(&run.join("frames")).len(), written + 1);
+    // Two frame files and the series; every sub-step that was done has its row.
+    assert_eq!(list(&run.join("frames")).len(), 2 * written + 2);
     let rows = column(&run.join("steps.csv"), "step").len();
     assert!(rows >= written - 1, "{rows} rows");
     // The program that failed says where to look, and the pictures of what is there can be drawn.

@@ -26,6 +26,7 @@ duration = 1
 frames_per_second = 100
 fixed_step = 0.01
 [liquid]
+surface = \"markers\"
 [[liquid.region]]
 box = {{ min = [0, 0, 0], max = [1, {level}, 1] }}
 {solids}"

@@ -79,8 +79,8 @@ fn coupling_matches() {
 #[test]
 fn step_matches() {
     let fields = fields!(
-        Step: gravity, dt, size, dx, inv_dx, control_time, volume_0, density, marker_radius, theta_floor,
-        n_markers, open_sides,
+        Step: gravity, dt, size, dx, inv_dx, control_time, volume_0, density, marker_radius,
+        n_markers, open_sides, largest_slope,
     );
     assert_layout("step", "Step", fields, size_of::<Step>());
 }
@@ -122,7 +122,7 @@ fn sort_pass_matches() {
 fn settings_match() {
     use cutwater::solver::RefineSettings;
     use cutwater::stages::{ActiveSettings, SeparationRound, SeparationSettings};
-    let fields = fields!(ActiveSettings: theta_floor, open_sides, pad_0, pad_1);
+    let fields = fields!(ActiveSettings: theta_floor, closing_theta_floor, open_sides, pad);
     let size = size_of::<ActiveSettings>();
     assert_layout("active_cells", "ActiveSettings", fields, size);
     let fields = fields!(SeparationSettings: from_air, grows, pad_0, pad_1);

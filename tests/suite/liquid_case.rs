@@ -6,7 +6,7 @@ use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{ActiveCells, Ballistic, active_cells};
-use cutwater::scene::Precision;
+use cutwater::scene::{Precision, ThetaFloor};
 use cutwater::stages::band;
 use cutwater::state::State;
 use glam::{DMat3, DVec3};
@@ -15,8 +15,8 @@ use crate::common::Random;
 
 /// Half the distance between neighbouring f32 numbers around 1.
 pub(crate) const EPS: f64 = 1.0 / (1 << 24) as f64;
-/// Floor of theta in all cases.
-pub(crate) const THETA_FLOOR: f64 = 1e-2;
+/// Floors of theta in all cases.
+pub(crate) const THETA_FLOOR: ThetaFloor = ThetaFloor { whole: 1e-2, closing: 0.15 };
 /// Marker radius in all cases, cells.
 pub(crate) const RADIUS: f64 = 0.87;
 /// Density in all cases, kg/m^3.
@@ -44,6 +44,11 @@ pub(crate) struct Case {
 /// The nearest f32.
 pub(crate) fn single(value: f64) -> f64 {
     f64::from(value as f32)
+}
+
+/// [`THETA_FLOOR`] in f32.
+pub(crate) fn single_floor() -> ThetaFloor {
+    ThetaFloor { whole: single(THETA_FLOOR.whole), closing: single(THETA_FLOOR.closing) }
 }
 
 /// Distance to a rotated box around the middle of the domain.
@@ -235,9 +240,9 @@ impl Case {
             volume_0: 0.0,
             density: DENSITY as f32,
             marker_radius: RADIUS as f32,
-            theta_floor: THETA_FLOOR as f32,
             n_markers: self.state.markers.len() as u32,
             open_sides: self.sides.bits(),
+            largest_slope: (0.5 * self.grid.dx / self.dt) as f32,
         }
     }
 
@@ -279,7 +284,7 @@ pub(crate) struct ActiveBuffers {
 impl ActiveBuffers {
     /// Those that a liquid distance (m) makes.
     pub(crate) fn new(case: &Case, phi: &[f64]) -> ActiveBuffers {
-        let cells = active_cells(&case.grid, &case.cut.open, phi, single(THETA_FLOOR));
+        let cells = active_cells(&case.grid, &case.cut.open, phi, single_floor());
         ActiveBuffers::of(case, cells)
     }
 

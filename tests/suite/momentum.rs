@@ -181,8 +181,8 @@ impl Moment<'_> {
                 let [Some(minus), Some(plus)] = sides else { panic!("a wall is open: {what}") };
                 let theta = match inside {
                     [true, true] => 1.0,
-                    [true, false] => self.theta(minus, plus),
-                    _ => self.theta(plus, minus),
+                    [true, false] => self.theta(minus, plus, open),
+                    _ => self.theta(plus, minus, open),
                 };
                 match inside {
                     [true, true] => {
@@ -219,9 +219,9 @@ impl Moment<'_> {
         assert!(dt * force.length() > 100.0 * bound, "{bound:e}, {what}");
     }
 
-    fn theta(&self, inside: usize, outside: usize) -> f64 {
+    fn theta(&self, inside: usize, outside: usize, open: f64) -> f64 {
         let [inside, outside] = [inside, outside].map(|cell| self.phi[cell]);
-        (inside / (inside - outside)).max(self.case.scene.solver.theta_floor)
+        (inside / (inside - outside)).max(self.case.scene.solver.theta_floor.of(open))
     }
 
     /// Part of a face, m^2.

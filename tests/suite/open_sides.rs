@@ -54,7 +54,7 @@ fn what_is_no_set_of_sides_is_refused() {
         ("\"+x\"", liquid, 4, "domain.open", "write a list, such as [\"+x\"]"),
         ("[1]", liquid, 4, "domain.open[0]", "\"-x\""),
         ("[\"+x\"]", solid, 4, "domain.open", "[liquid]"),
-        ("[\"+x\"]", fixed.as_str(), 9, "liquid.surface", "markers"),
+        ("[\"+x\"]", fixed.as_str(), 9, "liquid.surface", "remove the line"),
     ] {
         let refused = parse([8, 8, 8], open, rest).unwrap_err();
         let text = refused.to_string();

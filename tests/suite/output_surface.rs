@@ -13,11 +13,15 @@ use serde_json::Value;
 use crate::output::{flat, python, read};
 
 /// A tank of 1 x 0.5 x 0.5 m, 2 cells to 1/16 m more with `cells`, and liquid in it.
+/// With markers, unless the liquid names its surface.
 fn scene(cells: &str, liquid: &str) -> Scene {
     let text = format!(
         "[domain]\nsize = [1, 0.5, 0.5]\ncells = {cells}\n[time]\nduration = 1\n[output]\nparticles = false\nsurface = true\n{liquid}"
     );
-    Scene::parse(Path::new("wet.toml"), &text, &[], 1.0).unwrap()
+    let names_a_surface = text.contains("surface = '");
+    let markers = ["liquid.surface=markers".to_owned()];
+    let overrides = if names_a_surface { &[][..] } else { &markers };
+    Scene::parse(Path::new("wet.toml"), &text, overrides, 1.0).unwrap()
 }
 
 fn state(scene: &Scene) -> State {

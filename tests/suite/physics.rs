@@ -43,7 +43,7 @@ fn markers_at_rest_start_slowly_on_the_gpu() {
     for (name, fixed) in rest_cases() {
         let mut markers = fixed.clone();
         markers.liquid.as_mut().unwrap().surface = Surface::Markers;
-        markers.solver.theta_floor = 0.15;
+        markers.solver.theta_floor = 0.15.into();
         let [fixed, markers] = [fixed, markers].map(|scene| {
             let mut simulation = simulation(&scene);
             let report = simulation.step().unwrap();

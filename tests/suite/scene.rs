@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use cutwater::Error;
 use cutwater::scene::{
     ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, ProbedNodes, Scene, Shape,
-    SolidMesh, Solver, Surface, Up,
+    SolidMesh, Solver, Surface, ThetaFloor, Up,
 };
 use glam::DVec3;
 
@@ -139,7 +139,7 @@ fn a_scene_says_what_its_file_says() {
         max_iterations: 50,
         precision: Precision::F32,
         preconditioner: Preconditioner::Jacobi,
-        theta_floor: 1e-3,
+        theta_floor: ThetaFloor::from(1e-3),
         area_clamp: 1e-5,
         ..Solver::default()
     };
@@ -161,16 +161,37 @@ fn what_a_scene_leaves_out_has_the_documented_default() {
     assert_eq!(scene.time.fixed_step, None);
     let liquid = scene.liquid.unwrap();
     assert_eq!((liquid.density, liquid.marker_radius, liquid.seed), (1000.0, 0.87, 0));
-    assert!(liquid.volume_control && liquid.surface == Surface::Markers);
+    assert!(liquid.volume_control && liquid.surface == Surface::Level);
     assert!(matches!(liquid.regions[0].shape, Shape::Wave { phase: 0.0, .. }));
     assert!(scene.obstacles.is_empty() && scene.probes.is_empty());
-    // Markers make a surface that is bumpy by a tenth of a cell.
-    let solver = Solver { theta_floor: 0.15, ..Solver::default() };
+    let solver = Solver { theta_floor: ThetaFloor { whole: 1e-4, closing: 0.15 }, ..Solver::default() };
     assert_eq!(scene.solver, solver);
     assert!(scene.output.particles && !scene.output.fields && scene.output.every == 1);
 
+    let markers = load(text, &["liquid.surface=markers"], 1.0).unwrap();
+    // Markers make a surface that is bumpy by a tenth of a cell.
+    assert_eq!(markers.solver.theta_floor, 0.15.into());
     let fixed = load(text, &["liquid.surface=fixed"], 1.0).unwrap();
     assert!(!fixed.liquid.unwrap().volume_control, "a fixed surface has no volume control");
+}
+
+#[test]
+fn keys_that_act_on_markers_alone_imply_them() {
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n\
+                [[liquid.region]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.3 }\n";
+    let surface = |overrides: &[&str]| load(text, overrides, 1.0).unwrap().liquid.unwrap().surface;
+    for (key, expected) in [
+        ("liquid.separation=walls", Surface::Markers),
+        ("liquid.separation=from_air", Surface::Markers),
+        ("liquid.separation=none", Surface::Level),
+        ("liquid.marker_radius=0.9", Surface::Markers),
+        ("surface.smoothing=5", Surface::Markers),
+    ] {
+        assert_eq!(surface(&[key]), expected, "{key}");
+    }
+    assert_eq!(surface(&["liquid.marker_radius=0.9", "liquid.surface=level"]), Surface::Level);
+    let error = load(text, &["liquid.separation=walls", "liquid.surface=level"], 1.0).unwrap_err().to_string();
+    assert!(error.contains("liquid.separation") && error.contains("needs a surface of markers"), "{error}");
 }
 
 #[test]

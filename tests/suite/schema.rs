@@ -140,7 +140,7 @@ fn every_key_has_a_type_and_words() {
     assert_eq!((&density["minimum"], &density["maximum"]), (&json!(1e-6), &json!(1e6)));
     let poisson = at("/properties/solid/items/properties/poisson");
     assert_eq!((&poisson["exclusiveMinimum"], &poisson["exclusiveMaximum"]), (&json!(-1.0), &json!(0.5)));
-    assert_eq!(at("/properties/liquid/properties/surface/enum"), json!(["markers", "level", "fixed"]));
+    assert_eq!(at("/properties/liquid/properties/surface/enum"), json!(["level", "markers", "fixed"]));
     assert_eq!(at("/properties/liquid/properties/separation/enum"), json!(["none", "walls", "from_air"]));
     assert_eq!(at("/properties/output/properties/every/minimum"), json!(1));
     assert_eq!(at("/properties/solid/items/required"), json!(["density", "mesh", "name", "poisson", "young"]));

@@ -160,7 +160,7 @@ fn a_cylinder_that_enters_water_drags_a_cavity() {
 
 /// In a box pulled down at 2 g gravity points upwards.
 fn pulled_down(kind: &str, level: f64) -> String {
-    let liquid = format!("separation = \"{kind}\"\n{}", filled([1.0, level]));
+    let liquid = format!("surface = \"markers\"\nseparation = \"{kind}\"\n{}", filled([1.0, level]));
     domain([16, 16, 4], 1.0 / 16.0, GRAVITY, &liquid)
 }
 

@@ -327,7 +327,8 @@ fn an_impact_on_the_device_is_that_of_the_twin() {
         return;
     };
     for level in [0.4, 0.15] {
-        let scene = bars(level, 1.0);
+        // The gap is no multiple of their way in a sub-step: rounding does not decide when they meet.
+        let scene = bars(level, 1.1);
         let mut twin = Simulation::new(&scene, &Backend::Cpu).unwrap();
         let mut before = twin.state().unwrap();
         loop {
@@ -346,7 +347,7 @@ fn an_impact_on_the_device_is_that_of_the_twin() {
         let off = pairs.fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()));
         println!("level {level}: {off} m/s");
         // Positions in f32 pairs, areas and levels of the liquid in f32: gaps over dt, and pressures to 1e-6 of those of the impact.
-        assert!(off <= 1e-4, "level {level}: {off} m/s of 1 m/s");
+        assert!(off <= 1e-4, "level {level}: {off} m/s of 1.1 m/s");
     }
 }
 

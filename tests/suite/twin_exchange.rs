@@ -13,7 +13,7 @@ use crate::liquid_case::{Case, EPS, assert_close, single};
 
 /// Sources and sinks that overlap each other, an obstacle and walls, in a grid whose rows have one spare cell.
 pub(crate) fn scene() -> Scene {
-    let text = "[domain]\nsize = [1.5, 1.0, 1.1]\ncells = [15, 10, 11]\n[time]\nduration = 1.0\n[liquid]\n\
+    let text = "[domain]\nsize = [1.5, 1.0, 1.1]\ncells = [15, 10, 11]\n[time]\nduration = 1.0\n[liquid]\nsurface = \"markers\"\n\
                 [[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.25 }\n\
                 [[source]]\nbox = { min = [0.3, 0.4, 0.3], max = [0.9, 0.7, 0.6] }\nvelocity = [1.0, -0.5, 0.0]\n\
                 [[source]]\nsphere = { centre = [0.9, 0.6, 0.5], radius = 0.21 }\nvelocity = [-2.0, 0.0, 0.25]\nstart = 0.5\n\

@@ -3,10 +3,10 @@
 use cutwater::gpu::{Real, Recorder};
 use cutwater::grid::Axis;
 use cutwater::reference::{self, PressureSystem, liquid_distance, right_hand_side};
-use cutwater::stages::write_back;
+use cutwater::stages::{FreeSurface, write_back};
 
 use crate::common::{Random, gpu};
-use crate::liquid_case::{ActiveBuffers, DENSITY, EPS, RADIUS, THETA_FLOOR, assert_close, cases, single};
+use crate::liquid_case::{ActiveBuffers, DENSITY, EPS, RADIUS, assert_close, cases, single, single_floor};
 
 #[test]
 fn the_projected_velocity_is_the_twins() {
@@ -31,12 +31,13 @@ fn the_projected_velocity_is_the_twins() {
             })
             .collect();
         let mut twin = u.clone();
-        let floor = single(THETA_FLOOR);
+        let floor = single_floor();
+        let free_surface = FreeSurface { theta_floor: floor, open_sides: case.sides.any() };
         let valid = reference::write_back(&system, &pressure, open, &phi, floor, &mut twin);
         for &real in reals {
             let buffers = case.upload(gpu);
             let solver = active.solver(gpu, real);
-            let stage = write_back(gpu, &buffers, &solver).unwrap();
+            let stage = write_back(gpu, &buffers, &solver, free_surface).unwrap();
             let run = || {
                 case.write(gpu, &buffers);
                 case.band(gpu, &buffers);

@@ -37,14 +37,15 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// Surface of the scenes that name none: `--surface`.
+/// Surface of the scenes that name none: `--surface`, by default that of the published rows, markers.
 pub(crate) static SURFACE: OnceLock<String> = OnceLock::new();
 
 /// The override of the surface in a scene of liquid that names none. Separation needs markers.
 fn surface_of(text: &str) -> Option<String> {
     let names = |key: &str| text.lines().any(|line| line.trim_start().trim_start_matches("liquid.").starts_with(key));
     let free = text.contains("[[liquid.region]]") && !names("surface") && !names("separation");
-    SURFACE.get().filter(|_| free).map(|surface| format!("liquid.surface={surface}"))
+    let surface = SURFACE.get().map_or("markers", String::as_str);
+    free.then(|| format!("liquid.surface={surface}"))
 }
 
 /// A scene of `scenes/`, with overrides.

@@ -145,7 +145,12 @@ impl<'a> SolidComparison<'a> {
             let moved = before.displacement.iter().map(|&u| DVec3::from(u) + off);
             let moved: Vec<[f64; 3]> = moved.map(DVec3::into).collect();
             let v = &before.velocity;
-            reference::ballistic_bodies(&self.solids, &grid, distance, &wet, falling, &moved, v)
+            let solids = &self.solids;
+            let mut ballistic = reference::ballistic_bodies(solids, &grid, distance, &wet, falling, &moved, v);
+            if self.scene.solver.solid_contact {
+                reference::hold_near_others(solids, grid.dx, self.dt, &moved, v, &mut ballistic);
+            }
+            ballistic
         };
         let near = 64.0 * EPS * grid.size().max_element();
         let others: Vec<Vec<bool>> = corners().map(|corner| twin(near * corner)).collect();

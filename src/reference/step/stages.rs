@@ -317,7 +317,7 @@ impl SubStep<'_> {
         let layers = n_layers(model.scene.time.cfl);
         let (cut, velocity) = (self.boundary.cut_cells(), &mut self.after.velocity);
         let largest = match model.effects.maccormack {
-            true => 0.5 * model.grid.dx / self.time_step.dt,
+            true => self.time_step.largest_slope(model.grid.dx),
             false => 0.0,
         };
         let held = self.results.separation.as_ref().map(|separation| {

@@ -37,7 +37,9 @@ effects! {
         close(scene);
     };
     level: |scene| change_level(scene, |liquid| liquid.surface = Surface::Markers);
-    volume_control: |scene| change_liquid(scene, |_| {});
+    volume_control: |scene| if Effects::of(scene).volume_control {
+        change_liquid(scene, |_| {});
+    };
     volume_shift: |scene| change_level(scene, |_| {});
     separation: |scene| if let Some(liquid) = &mut scene.liquid {
         liquid.separation = Separation::None;

@@ -18,7 +18,7 @@ use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
     self, ActiveCells, Ballistic, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, TimeStep, VolumeSource,
 };
-use crate::scene::{ProbeKind, Scene};
+use crate::scene::{ProbeKind, Scene, ThetaFloor};
 use crate::sim::{GpuPath, LiquidSnapshot};
 use crate::state::State;
 use crate::step::Stage;
@@ -207,8 +207,10 @@ impl<'a> LiquidComparison<'a> {
         glam::Vec3::from(self.step.gravity).as_dvec3()
     }
 
-    fn theta_floor(&self) -> f64 {
-        self.step.theta_floor.into()
+    fn theta_floor(&self) -> ThetaFloor {
+        let single = |floor: f64| f64::from(floor as f32);
+        let ThetaFloor { whole, closing } = self.scene.solver.theta_floor;
+        ThetaFloor { whole: single(whole), closing: single(closing) }
     }
 
     /// Whether obstacles or solids cut the grid.
@@ -619,7 +621,7 @@ impl<'a> LiquidComparison<'a> {
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
         let largest = match Effects::of(self.scene).maccormack {
-            true => 0.5 * grid.dx / self.dt(),
+            true => self.step.largest_slope.into(),
             false => 0.0,
         };
         let extent = (layers, largest);
