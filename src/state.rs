@@ -332,9 +332,14 @@ pub struct ContactReport {
 }
 
 impl ContactReport {
-    /// Longest next sub-step after one of dt (s), s; 0 without a limit.
-    pub fn next_step(&self, dt: f64) -> f64 {
-        self.next_halvings.map_or(0.0, |times| dt * 0.5_f64.powi(times as i32))
+    /// Longest next sub-step after one of dt (s) with a limit `before` (s), s; 0 without a limit. After a limit sub-steps at most double, since
+    /// contact was checked up to that.
+    pub fn next_step(&self, dt: f64, before: f64) -> f64 {
+        match self.next_halvings {
+            Some(times) => dt * 0.5_f64.powi(times as i32),
+            None if before > 0.0 => 2.0 * dt,
+            None => 0.0,
+        }
     }
 }
 

@@ -87,6 +87,8 @@ pub struct Body {
     pub contact: bool,
     /// Indices of bodies that it does not touch.
     pub no_contact_with: Vec<usize>,
+    /// Whether its surface touches itself.
+    pub self_contact: bool,
 }
 
 /// A body whose nodes move along circles when it rotates.

@@ -72,6 +72,7 @@ impl Solids {
             friction: solid.friction,
             contact: solid.contact,
             no_contact_with: solid.no_contact_with.clone(),
+            self_contact: solid.self_contact,
         };
         let mut owners = vec![[None; 3]; mesh.nodes.len()];
         for (number, pin) in solid.pins.iter().enumerate() {
@@ -355,9 +356,12 @@ impl Solids {
         constrained.iter().all(straight).then_some([first, last])
     }
 
-    /// Whether two bodies touch each other where they meet.
+    /// Whether two bodies touch each other where they meet, or one itself.
     pub fn may_touch(&self, one: usize, other: usize) -> bool {
         let [a, b] = [one, other].map(|number| &self.bodies[number]);
+        if one == other {
+            return a.self_contact;
+        }
         let excluded = a.no_contact_with.contains(&other) || b.no_contact_with.contains(&one);
         a.contact && b.contact && !excluded
     }

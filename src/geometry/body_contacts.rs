@@ -1,8 +1,12 @@
-//! Contact candidates between surfaces of different bodies: nodes beside faces, and edges beside edges.
+//! Contact candidates between surfaces of different bodies, or of one: nodes beside faces, and edges beside edges.
 //!
 //! A pair is a local minimum of the distance between the surfaces: a node has the nearest point of the other surface, two convex edges that
 //! cross have theirs. The normal lies in the normal cones of both surfaces, to a slack. So a node beside the edge of a body that slides over it
 //! has no pair. Edges between nearly coplanar faces have none of their own: nodes beside faces represent them.
+//!
+//! Of one body, features that share a node or are joined by an edge of the surface are no pair: between them is one element, whose stiffness
+//! keeps them apart. All others count, however near they are at rest. A feature deeper behind another than a part of an edge is on the other
+//! side of the body, not in contact.
 //!
 //! Continuous collision detection ([`contact_hits`]) finds the nodes that cross faces, and the edges that cross edges, in a motion along
 //! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997).
@@ -16,8 +20,10 @@ use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
 
-/// Cosine between the normals of two faces above which their common edge counts as flat.
-const FLAT: f64 = 0.99;
+/// Cosine between the normals of two faces above which their common edge has no pairs: 0.8 degrees, an overlap of 0.4 % of the edge.
+const FLAT_EDGE: f64 = 0.9999;
+/// Cosine between the normal of a face and the direction to a node above which the node is before the face, not beside its edge.
+const BEFORE: f64 = 0.99;
 /// Part of an edge at its ends where its nodes stand for it.
 const ENDS: f64 = 1e-3;
 /// Squared sine of the angle below which edges count as parallel.
@@ -34,8 +40,14 @@ const NODE_SLACK: f64 = 0.15;
 const FACE_SLACK: f64 = 0.5;
 /// The same for a node inside the other body, which needs a pair.
 const INSIDE_SLACK: f64 = 0.9;
+/// Depth of meetings of a body with itself that count only without others, over that of others.
+const LATER: f64 = 10.0;
+/// Largest overlap of a body with itself, relative to its shortest edge.
+const SELF_DEPTH: f64 = 1e-2;
+/// Least cosine between the normal of a face and the direction to a node of the same body.
+const FACING: f64 = 0.4;
 
-/// Two points of different bodies that may touch.
+/// Two points of surfaces that may touch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContactPair {
     /// Nodes and weights: 1 in all on the one body, -1 in all on the other. Ascending nodes; weights are not 0.
@@ -54,6 +66,8 @@ struct Edge {
     normals: [DVec3; 2],
     /// Unit directions from the edge into the faces, along them.
     inwards: [DVec3; 2],
+    /// Whether nodes beside the faces stand for it in all but a motion in which nothing else meets.
+    flat: bool,
 }
 
 /// Nodes of a surface, ascending, each with its neighbours along the surface.
@@ -66,6 +80,9 @@ struct Skin {
     nodes: Nodes,
     /// Convex edges.
     edges: Vec<Edge>,
+    edge_tree: Bvh,
+    /// Largest overlap with itself, m.
+    self_depth: f64,
     low: DVec3,
     high: DVec3,
 }
@@ -79,7 +96,12 @@ impl Skin {
         let faces = triangles.iter().map(|triangle| triangle.map(local)).collect();
         let [low, high] = super::bounds(vertices.iter().copied());
         let mesh = TriMesh::with_flags(vertices, faces, TriMeshFlags::ORIENTED).ok()?;
-        Some(Skin { mesh, edges: sharp_edges(positions, triangles), nodes, low, high })
+        let edges = sharp_edges(positions, triangles);
+        let ends = |edge: &Edge| super::bounds(edge.nodes.iter().map(|&node| positions[node as usize]));
+        let sides = nodes.iter().flat_map(|(node, others)| others.iter().map(|other| [*node, *other]));
+        let lengths = sides.map(|side| side.map(|node| positions[node as usize])).map(|[a, b]| a.distance(b));
+        let self_depth = SELF_DEPTH * lengths.fold(f64::INFINITY, f64::min);
+        Some(Skin { mesh, edge_tree: tree(edges.iter().map(ends)), edges, nodes, self_depth, low, high })
     }
 
     /// Whether the box of some points is within `reach` (m) of the body's.
@@ -104,11 +126,11 @@ impl Skin {
         };
         let slack = match nearest.is_inside {
             true => INSIDE_SLACK,
-            false if normal.dot(across) >= FLAT => FACE_SLACK,
+            false if normal.dot(across) >= BEFORE => FACE_SLACK,
             false => NODE_SLACK,
         };
-        let mut neighbours = neighbours.iter().map(|&other| positions[other as usize]);
-        if !is_foremost(x, &mut neighbours, -normal, slack) {
+        let neighbours = neighbours.iter().map(|&other| positions[other as usize]);
+        if !is_foremost(x, neighbours, -normal, slack) {
             return None;
         }
         let corners = mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize].0);
@@ -116,6 +138,48 @@ impl Skin {
         let points = others.chain([(*node, 1.0)]);
         Some(ContactPair::new(points, normal, sign * distance))
     }
+
+    /// The pair of a node and the nearest face of the same body before which it is, within `reach` (m), or behind which it is a little.
+    fn beside_itself(
+        &self,
+        (node, neighbours): &(u32, Vec<u32>),
+        positions: &[DVec3],
+        reach: f64,
+    ) -> Option<ContactPair> {
+        let x = positions[*node as usize];
+        let around = Aabb::from_half_extents(x, DVec3::splat(reach.max(self.self_depth)));
+        let pair = |face: u32| {
+            let corners = self.mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize].0);
+            if joined(&self.nodes, &[*node], &corners) {
+                return None;
+            }
+            let triangle = self.mesh.triangle(face);
+            let across = triangle.normal()?;
+            let (nearest, at) = triangle.project_local_point_and_get_location(x, false);
+            let weights = at.barycentric_coordinates()?;
+            let arm = x - nearest.point;
+            let gap = if arm.dot(across) < 0.0 { -arm.length() } else { arm.length() };
+            let normal = if gap.abs() > NO_DIRECTION * reach { arm / gap } else { across };
+            let faces = normal.dot(across);
+            let slack = if faces >= BEFORE { FACE_SLACK } else { NODE_SLACK };
+            let others = neighbours.iter().map(|&other| positions[other as usize]);
+            let meets = gap >= -self.self_depth && gap <= reach && faces >= FACING;
+            let points = corners.into_iter().zip(weights.map(|weight| -weight)).chain([(*node, 1.0)]);
+            (meets && is_foremost(x, others, -normal, slack)).then(|| ContactPair::new(points, normal, gap))
+        };
+        let mut faces: Vec<u32> = self.mesh.bvh().intersect_aabb(&around).collect();
+        faces.sort_unstable();
+        let pairs = faces.into_iter().filter_map(pair);
+        pairs.min_by(|a, b| a.gap.abs().total_cmp(&b.gap.abs()))
+    }
+}
+
+/// Whether nodes of a surface are the same as others, or joined to them by an edge.
+fn joined(nodes: &Nodes, some: &[u32], others: &[u32]) -> bool {
+    some.iter().any(|one| {
+        let (_, neighbours) = &nodes[nodes.partition_point(|(node, _)| node < one)];
+        others.iter().any(|other| other == one || neighbours.binary_search(other).is_ok())
+    })
 }
 
 /// Nodes of triangles.
@@ -145,78 +209,134 @@ impl ContactPair {
     }
 }
 
-/// Whether two bodies of these numbers may touch.
-pub type MayTouch<'a> = &'a dyn Fn(usize, usize) -> bool;
+/// Distance within which two bodies of these numbers, or one and itself, are pairs, m; `None` if they never touch.
+pub type Reach<'a> = &'a dyn Fn(usize, usize) -> Option<f64>;
 
-/// The pairs within `reach` (m) of all bodies that may touch, one per set of nodes, in the order of their nodes. `positions` of all nodes,
-/// m; `bodies`: ranges of `triangles`.
+/// The pairs within reach of all bodies that may touch, one per set of nodes, in the order of their nodes. `positions` of all nodes, m;
+/// `bodies`: ranges of `triangles`.
 pub fn contact_pairs(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
-    (bodies, may_touch): (&[Range<usize>], MayTouch),
-    reach: f64,
+    bodies: &[Range<usize>],
+    reach: Reach,
 ) -> Vec<ContactPair> {
-    let skins = bodies.iter().enumerate();
-    let skins = skins.filter_map(|(number, body)| Some((number, Skin::new(positions, &triangles[body.clone()])?)));
-    let skins: Vec<(usize, Skin)> = skins.collect();
+    let bounds = |body: &Range<usize>| {
+        let nodes = triangles[body.clone()].as_flattened().iter();
+        super::bounds(nodes.map(|&node| positions[node as usize]))
+    };
+    let near = near_bodies(&bodies.iter().map(bounds).collect::<Vec<_>>(), reach);
+    let skins = each_near(bodies, &near, |body| Skin::new(positions, &triangles[body]));
     let mut pairs = Vec::new();
-    for (number, skin) in &skins {
-        for (other_number, other) in &skins {
-            let apart = !other.is_near(&[skin.low, skin.high], reach);
-            if other_number == number || apart || !may_touch(*number, *other_number) {
-                continue;
-            }
+    for (number, other_number, reach) in near {
+        let (Some(skin), Some(other)) = (&skins[number], &skins[other_number]) else {
+            continue;
+        };
+        let beside = |skin: &Skin, other: &Skin, pairs: &mut Vec<ContactPair>| {
             let beside = |node: &(u32, Vec<u32>)| {
                 let near = other.is_near(&[positions[node.0 as usize]], reach);
                 near.then(|| other.beside(node, positions, reach))?
             };
             pairs.par_extend(skin.nodes.par_iter().filter_map(beside));
-            if number < other_number {
-                edge_pairs(positions, skin, other, reach, &mut pairs);
-            }
+        };
+        if number == other_number {
+            let beside = |node| skin.beside_itself(node, positions, reach);
+            pairs.par_extend(skin.nodes.par_iter().filter_map(beside));
+        } else {
+            beside(skin, other, &mut pairs);
+            beside(other, skin, &mut pairs);
         }
+        edge_pairs(positions, skin, other, reach, &mut pairs);
     }
     pairs.sort_by_cached_key(ContactPair::key);
     pairs.dedup_by_key(|pair| pair.key());
     pairs
 }
 
-/// The pairs of different bodies that meet in the motion of all nodes from `positions` along `ways` (both m) and end more than `depth` (m)
-/// behind each other, in the order of their nodes. Gaps are those of the start, along the normals of the meeting. Other arguments as of
-/// [`contact_pairs`].
+/// Numbers of bodies, the smaller first, whose boxes are within reach of each other, and the reach, m.
+fn near_bodies(boxes: &[[DVec3; 2]], reach: Reach) -> Vec<(usize, usize, f64)> {
+    let pairs = (0..boxes.len()).flat_map(|one| (one..boxes.len()).map(move |other| (one, other)));
+    let near = pairs.filter_map(|(one, other)| {
+        let reach = reach(one, other)?;
+        let [low, high] = boxes[other];
+        meet(&boxes[one], &[low - reach, high + reach]).then_some((one, other, reach))
+    });
+    near.collect()
+}
+
+/// Something per body that is near another or may touch itself; `None` elsewhere.
+fn each_near<T>(
+    bodies: &[Range<usize>],
+    near: &[(usize, usize, f64)],
+    of: impl Fn(Range<usize>) -> Option<T>,
+) -> Vec<Option<T>> {
+    let bodies = bodies.iter().enumerate().map(|(number, body)| {
+        let needed = near.iter().any(|&(one, other, _)| one == number || other == number);
+        needed.then(|| of(body.clone()))?
+    });
+    bodies.collect()
+}
+
+/// The pairs that meet in the motion of all nodes from `positions` along `ways` (both m) and end deep behind each other, in the order of their
+/// nodes. Gaps are those of the start, along the normals of the meeting. `depth`: as a reach, the depth that counts; `overlap`: largest overlap of a
+/// body with itself at the start that must not grow, m. Other arguments as of [`contact_pairs`].
 pub fn contact_hits(
     positions: &[DVec3],
     ways: &[DVec3],
     triangles: &[[u32; 3]],
-    (bodies, may_touch): (&[Range<usize>], MayTouch),
-    depth: f64,
+    (bodies, depth): (&[Range<usize>], Reach),
+    overlap: f64,
 ) -> Vec<ContactPair> {
     let ends: Vec<DVec3> = positions.iter().zip(ways).map(|(x, way)| x + way).collect();
-    let motion = Motion { positions, ways, ends: &ends, depth };
-    let swept: Vec<Swept> = (bodies.iter()).map(|body| Swept::new(&motion, &triangles[body.clone()])).collect();
+    let motion = Motion { positions, ways, ends: &ends, depth: 0.0, overlap: 0.0, leading: true };
+    let bounds = |body: &Range<usize>| motion.bounds(triangles[body.clone()].as_flattened());
+    let near = near_bodies(&bodies.iter().map(bounds).collect::<Vec<_>>(), depth);
+    let swept = each_near(bodies, &near, |body| Some(Swept::new(&motion, &triangles[body])));
     let mut hits = Vec::new();
-    for (number, body) in swept.iter().enumerate() {
-        for (other_number, other) in swept.iter().enumerate() {
-            let apart = !meet(&body.bounds, &other.bounds);
-            if other_number == number || apart || !may_touch(number, other_number) {
-                continue;
-            }
-            let nodes = body.nodes.par_iter().map(|node| (node, motion.bounds(&[node.0])));
-            let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
-            hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
-                let faces = meeting(&other.face_tree, &bounds).into_iter();
-                faces.filter_map(move |face| motion.node_hit(node, other.faces[face]))
-            }));
-            if number < other_number {
-                hits.par_extend(body.edges.par_iter().flat_map_iter(|edge| {
-                    let others = meeting(&other.edge_tree, &motion.bounds(&edge.nodes)).into_iter();
-                    others.filter_map(move |at| motion.edge_hit(edge, &other.edges[at]))
-                }));
-            }
+    for (number, other_number, depth) in near {
+        let (Some(body), Some(other)) = (&swept[number], &swept[other_number]) else {
+            continue;
+        };
+        let motion = Motion { depth, ..motion };
+        if number == other_number {
+            own_hits(&Motion { overlap, ..motion }, body, &mut hits);
+            continue;
         }
+        motion.node_hits(body, other, &mut hits);
+        motion.node_hits(other, body, &mut hits);
+        motion.edge_hits(body, other, &mut hits);
     }
     hits.sort_by_cached_key(ContactPair::key);
     hits
+}
+
+/// Adds the meetings of a body with itself, in the frame of its mean motion. Nodes that follow others through a face, edges that face away from
+/// each other, and nearly flat edges count only where nothing else meets, and pairs that overlap at the end only without any of these: a motion that
+/// starts with an overlap, or turns the surfaces, has no other sign of it.
+fn own_hits(motion: &Motion, body: &Swept, hits: &mut Vec<ContactPair>) {
+    let ways = body.nodes.iter().map(|(node, _)| motion.ways[*node as usize]);
+    let mean = ways.sum::<DVec3>() / body.nodes.len() as f64;
+    let less = |of: &[DVec3]| -> Vec<DVec3> { of.iter().map(|x| x - mean).collect() };
+    let (ways, ends) = (less(motion.ways), less(motion.ends));
+    let leading = Motion { ways: &ways, ends: &ends, ..*motion };
+    let body = Swept::new(&leading, body.faces);
+    let others = Motion { leading: false, depth: LATER * leading.depth, ..leading };
+    let mut own = Vec::new();
+    for motion in [leading, others] {
+        if own.is_empty() {
+            motion.node_hits(&body, &body, &mut own);
+            motion.edge_hits(&body, &body, &mut own);
+        }
+    }
+    if own.is_empty() {
+        let deeper = |pair: ContactPair| {
+            let gap = others.gap(&pair, others.positions);
+            (pair.gap < gap.min(0.0) - others.depth).then_some(ContactPair { gap, ..pair })
+        };
+        let whole = 0..body.faces.len();
+        let pairs = contact_pairs(&ends, body.faces, std::slice::from_ref(&whole), &|_, _| Some(leading.depth));
+        own.extend(pairs.into_iter().filter_map(deeper));
+    }
+    hits.append(&mut own);
 }
 
 /// A motion along straight lines.
@@ -226,6 +346,10 @@ struct Motion<'a> {
     ways: &'a [DVec3],
     ends: &'a [DVec3],
     depth: f64,
+    /// Of a body with itself; 0 for two.
+    overlap: f64,
+    /// Without nodes that follow others through a face, and edges that face away from each other.
+    leading: bool,
 }
 
 /// A surface in a motion, with boxes that contain it.
@@ -285,9 +409,42 @@ impl Motion<'_> {
         self.positions[node as usize] + part * self.ways[node as usize]
     }
 
-    /// The first part of the motion at which a function, a cubic in it, is 0 and `here` agrees.
+    /// Distance of a pair's points along its normal, m.
+    fn gap(&self, pair: &ContactPair, of: &[DVec3]) -> f64 {
+        let points = pair.points.iter();
+        points.map(|&(node, weight)| weight * of[node as usize].dot(pair.normal)).sum()
+    }
+
+    /// Adds the nodes of a body that cross faces of another, or of itself.
+    fn node_hits(&self, body: &Swept, other: &Swept, hits: &mut Vec<ContactPair>) {
+        let same = std::ptr::eq(body, other);
+        let nodes = body.nodes.par_iter().map(|node| (node, self.bounds(&[node.0])));
+        let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
+        hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
+            let faces = meeting(&other.face_tree, &bounds).into_iter().map(|face| other.faces[face]);
+            let faces = faces.filter(move |face| !(same && joined(&body.nodes, &[node.0], face)));
+            faces.filter_map(move |face| self.node_hit(node, face))
+        }));
+    }
+
+    /// Adds the edges of a body that cross those of another, or of itself.
+    fn edge_hits(&self, body: &Swept, other: &Swept, hits: &mut Vec<ContactPair>) {
+        let same = std::ptr::eq(body, other);
+        hits.par_extend(body.edges.par_iter().flat_map_iter(|edge| {
+            let others = meeting(&other.edge_tree, &self.bounds(&edge.nodes)).into_iter().map(|at| &other.edges[at]);
+            // Of a body, each two once.
+            let once = move |against: &&Edge| {
+                !same || edge.nodes < against.nodes && !joined(&body.nodes, &edge.nodes, &against.nodes)
+            };
+            others.filter(once).filter_map(move |against| self.edge_hit(edge, against))
+        }));
+    }
+
+    /// The first part of the motion at which a function, a cubic in it, is 0 and `here` agrees; of a body with itself its
+    /// start counts too, where points may be behind each other.
     fn first<T>(&self, cubic: impl Fn(f64) -> f64, here: impl Fn(f64) -> Option<T>) -> Option<T> {
-        roots(cubic).into_iter().find_map(here)
+        let start = (self.overlap > 0.0).then_some(0.0);
+        start.into_iter().chain(roots(cubic)).find_map(here)
     }
 
     /// A node that crosses a face from outside, no later than its neighbours.
@@ -299,7 +456,7 @@ impl Motion<'_> {
             let corners = corners(part);
             (self.at(node, part) - corners[0]).dot(normal(corners))
         };
-        if volume(0.0) < 0.0 {
+        if self.overlap == 0.0 && volume(0.0) < 0.0 {
             return None;
         }
         self.first(volume, |part| {
@@ -313,8 +470,9 @@ impl Motion<'_> {
             let points = face.into_iter().zip(weights.map(|weight| -weight));
             let n = n / area.sqrt();
             let neighbours = neighbours.iter().map(|&other| self.at(other, part));
-            let meets = area > 0.0 && inside && is_foremost(x, neighbours, -n, FACE_SLACK);
-            meets.then(|| self.pair(points.chain([(node, 1.0)]), n)).flatten()
+            let first = !self.leading || is_foremost(x, neighbours, -n, FACE_SLACK);
+            let meets = area > 0.0 && inside && first;
+            meets.then(|| self.pair(points.chain([(node, 1.0)]), n, part)).flatten()
         })
     }
 
@@ -322,6 +480,9 @@ impl Motion<'_> {
     fn edge_hit(&self, one: &Edge, other: &Edge) -> Option<ContactPair> {
         let (a, b) = (one.nodes, other.nodes);
         let ends = |part: f64| [a, b].map(|edge| edge.map(|node| self.at(node, part)));
+        if (one.flat || other.flat) && self.leading {
+            return None;
+        }
         let outwards = other.normals[0] + other.normals[1] - one.normals[0] - one.normals[1];
         let volume = |part: f64| {
             let [[a0, a1], [b0, b1]] = ends(part);
@@ -341,23 +502,25 @@ impl Motion<'_> {
                 return None;
             }
             let points = [(a[0], 1.0 - s), (a[1], s), (b[0], t - 1.0), (b[1], -t)];
+            let before: DVec3 = points.iter().map(|&(node, weight)| weight * self.positions[node as usize]).sum();
             // The first edge leaves the side from which it came.
-            let before: DVec3 = (points.iter()).map(|&(node, weight)| weight * self.positions[node as usize]).sum();
-            let sign = if before.dot(across) >= 0.0 { 1.0 } else { -1.0 };
+            let side = if self.overlap > 0.0 && self.leading { outwards } else { before };
+            let sign = if side.dot(across) >= 0.0 { 1.0 } else { -1.0 };
             let normal = sign / squared.sqrt() * across;
-            (normal.dot(outwards) >= 0.0).then(|| self.pair(points.into_iter(), normal)).flatten()
+            let faces = self.overlap > 0.0 || normal.dot(outwards) >= 0.0;
+            faces.then(|| self.pair(points.into_iter(), normal, part)).flatten()
         })
     }
 
-    /// The pair, if the motion ends behind it.
-    fn pair(&self, points: impl Iterator<Item = (u32, f64)>, normal: DVec3) -> Option<ContactPair> {
+    /// The pair, if its points start apart, meet at a part of the motion, and end behind each other.
+    fn pair(&self, points: impl Iterator<Item = (u32, f64)>, normal: DVec3, part: f64) -> Option<ContactPair> {
         let pair = ContactPair::new(points, normal, 0.0);
-        let along = |of: &[DVec3]| -> f64 {
-            let points = pair.points.iter();
-            points.map(|&(node, weight)| weight * of[node as usize].dot(normal)).sum()
+        let [gap, end] = [self.positions, self.ends].map(|of| self.gap(&pair, of));
+        let meets = match self.overlap > 0.0 {
+            true => gap >= -self.overlap && (part > 0.0 || gap <= self.overlap) && end < gap.min(0.0) - self.depth,
+            false => end < -self.depth,
         };
-        let [gap, end] = [along(self.positions), along(self.ends)];
-        (end < -self.depth).then_some(ContactPair { gap, ..pair })
+        meets.then_some(ContactPair { gap, ..pair })
     }
 }
 
@@ -417,25 +580,27 @@ fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let edges = sides.chunk_by(|a, b| a.0 == b.0);
     edges
         .filter_map(|faces| match faces {
-            [one, two] if one.1.dot(two.1) < FLAT && one.1.dot(two.2) < 0.0 => {
-                Some(Edge { nodes: one.0, normals: [one.1, two.1], inwards: [one.2, two.2] })
+            [one, two] if one.1.dot(two.1) < FLAT_EDGE && one.1.dot(two.2) < 0.0 => {
+                let flat = one.1.dot(two.1) >= BEFORE;
+                Some(Edge { nodes: one.0, normals: [one.1, two.1], inwards: [one.2, two.2], flat })
             }
             _ => None,
         })
         .collect()
 }
 
-/// Adds the pairs of edges of two bodies.
+/// Adds the pairs of edges of two bodies, or of one.
 fn edge_pairs(positions: &[DVec3], skin: &Skin, other: &Skin, reach: f64, pairs: &mut Vec<ContactPair>) {
+    let same = std::ptr::eq(skin, other);
     let ends = |edge: &Edge| edge.nodes.map(|node| positions[node as usize]);
-    let near = |edges: &[Edge], body: &Skin| -> Vec<Edge> {
-        let near = |edge: &&Edge| body.is_near(&ends(edge), reach);
-        edges.iter().filter(near).copied().collect()
-    };
-    let [ours, theirs] = [near(&skin.edges, other), near(&other.edges, skin)];
-    let found = ours.par_iter().flat_map_iter(|a| {
-        let pair = |b: &Edge| edge_pair(ends, (skin, a), (other, b), reach);
-        theirs.iter().filter_map(pair)
+    let found = skin.edges.par_iter().flat_map_iter(|a| {
+        let [low, high] = super::bounds(ends(a).into_iter());
+        let near = meeting(&other.edge_tree, &[low - reach, high + reach]).into_iter().map(|at| &other.edges[at]);
+        // Of a body, each two once.
+        let once = move |b: &&Edge| {
+            !a.flat && !b.flat && (!same || a.nodes < b.nodes && !joined(&skin.nodes, &a.nodes, &b.nodes))
+        };
+        near.filter(once).filter_map(move |b| edge_pair(ends, (skin, a), (other, b), reach))
     });
     pairs.par_extend(found);
 }
@@ -483,7 +648,11 @@ fn edge_pair(
     }
     // Edges of slim bodies may face away from each other: of bodies that overlap here, each edge goes through the other's surface.
     let pierces = |from: DVec3, way: DVec3, body: &Skin| body.mesh.intersects_local_ray(&Ray::new(from, way), 1.0);
-    if sign < 0.0 && !(pierces(a0, u, other) && pierces(b0, v, skin)) {
+    let apart = match std::ptr::eq(skin, other) {
+        true => distance > skin.self_depth,
+        false => !(pierces(a0, u, other) && pierces(b0, v, skin)),
+    };
+    if sign < 0.0 && apart {
         return None;
     }
     let points = [(a.nodes[0], 1.0 - s), (a.nodes[1], s), (b.nodes[0], t - 1.0), (b.nodes[1], -t)];

@@ -6,7 +6,7 @@
 //! - [`ObstacleCut`]: the same with moving obstacles, in every sub-step
 //! - [`SolidClip`]: the same with deforming solids, and [`Coupling`], their patches as sparse lists by cell and by node
 //! - [`ContactField`]: distance and motion of the obstacles as nodes of solids meet them
-//! - [`contact_pairs`], [`contact_hits`]: contact candidates between the surfaces of different bodies, now and in a motion
+//! - [`contact_pairs`], [`contact_hits`]: contact candidates between the surfaces of bodies, now and in a motion
 //! - [`RenderMesh`], [`Embedding`]: meshes of files with their texture coordinates, moved by tetrahedra
 //! - [`TetMesh`], [`solid_meshes`]: tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`SourcesAndSinks`]: sources and sinks as cells and faces of the grid
@@ -48,7 +48,7 @@ mod tet_shapes;
 mod thickness;
 mod vtu;
 
-pub use body_contacts::{ContactPair, MayTouch, contact_hits, contact_pairs};
+pub use body_contacts::{ContactPair, Reach, contact_hits, contact_pairs};
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use contact_field::{ContactField, RigidVelocity, SurfaceFriction};
 pub use coupling::{CellNode, Coupling};

@@ -99,6 +99,7 @@ impl BaseScene {
             friction: 0.0,
             contact: true,
             no_contact_with: Vec::new(),
+            self_contact: false,
             pins: vec![Pin {
                 region: Shape::Box { min: low.with_z(high.z), max: high },
                 components: [true; 3],

@@ -27,9 +27,10 @@ use super::solid_contacts::{Contacts, friction};
 use super::solid_system::SolidSystem;
 use super::solve_coupled::{CoupledSolution, Together};
 use super::solve_solid::SolidSolver;
+use super::turn_solids::inverse_inertia;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::{ContactPair, MayTouch, contact_hits, contact_pairs};
+use crate::geometry::{ContactPair, contact_hits, contact_pairs};
 use crate::linalg::{Row, RowSearch, UnilateralRows};
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport};
@@ -40,6 +41,12 @@ const REACH: f64 = 2.0;
 const LEAST_REACH: f64 = 0.05;
 /// Depth behind each other at the end of a motion that counts as a meeting, cells.
 const DEPTH: f64 = 1e-3;
+/// The same for a body and itself.
+const OWN_DEPTH: f64 = 1e-5;
+/// The same for a body and itself in a motion that must be shorter.
+const OWN_PASSING: f64 = 1e-4;
+/// Overlap of a body with itself at the start of a motion that rows keep from growing, cells.
+const OVERLAP: f64 = 1e-2;
 /// Largest number of solves with rows of meetings that the rows before missed.
 pub const MOST_MEETINGS: u32 = 4;
 /// Largest growth of the next sub-step.
@@ -74,12 +81,16 @@ impl Touching<'_> {
         };
         let met = !known.is_empty() || rows.iter().all(|row| row.slack(velocity) >= 0.0);
         if met {
-            let hits = self.hits(velocity, self.dt);
-            if hits.is_empty() {
+            let (nodes, _) = velocity.as_chunks::<3>();
+            let hits = self.hits(velocity, self.dt, OWN_DEPTH);
+            let hits = hits.iter().filter_map(|pair| self.row(pair, nodes));
+            // Rows that the velocities meet do not help.
+            let missed = -0.5 * OWN_DEPTH * self.dx / self.dt;
+            let before = rows.len();
+            rows.extend(hits.filter(|row| row.slack(velocity) < missed));
+            if rows.len() == before {
                 return None;
             }
-            let (nodes, _) = velocity.as_chunks::<3>();
-            rows.extend(hits.iter().filter_map(|pair| self.row(pair, nodes)));
         }
         Some(rows)
     }
@@ -90,44 +101,45 @@ impl Touching<'_> {
         let speeds = nodes.iter().map(|v| DVec3::from(*v).length());
         let reach = (REACH * self.dt * speeds.fold(0.0, f64::max)).max(LEAST_REACH * self.dx);
         let mut rows = self.contacts.rows(reach, velocity);
-        let triangles = &self.solids.triangles;
-        let may_touch: MayTouch = &|one, other| self.solids.may_touch(one, other);
-        let pairs = contact_pairs(self.positions, triangles, (&self.bodies(), may_touch), reach);
-        rows.extend(pairs.iter().filter_map(|pair| self.row(pair, nodes)));
+        let reach = |one: usize, other: usize| {
+            let own = || (REACH * self.dt * self.deforming_speed(one, nodes)).max(LEAST_REACH * self.dx);
+            self.solids.may_touch(one, other).then(|| if one == other { own() } else { reach })
+        };
+        let pairs = contact_pairs(self.positions, &self.solids.triangles, &bodies(self.solids), &reach);
+        let apart = pairs.into_iter().map(|pair| ContactPair { gap: pair.gap.max(0.0), ..pair });
+        rows.extend(apart.filter_map(|pair| self.row(&pair, nodes)));
         rows
     }
 
     /// Reports by how much the next sub-step must be shorter, for velocities after the last solve (m/s, three numbers per node), and the meetings
     /// that are left in the shortest. Without velocities there was no solve with rows.
     pub fn shorten(&self, velocity: &[f64], report: &mut ContactReport) {
-        let hits = |factor: f64| self.hits(velocity, factor * self.dt).len() as u32;
-        if velocity.is_empty() || hits(GROWTH) == 0 {
+        if velocity.is_empty() || self.hits(velocity, GROWTH * self.dt, OWN_PASSING).is_empty() {
             return;
         }
-        let mut left = 0;
-        let halvings = (0..=MOST_HALVINGS).find(|&times| {
-            left = hits(0.5_f64.powi(times as i32));
-            left == 0
-        });
-        report.next_halvings = Some(halvings.unwrap_or(MOST_HALVINGS));
+        let (halvings, left) = halvings(|part| self.hits(velocity, part * self.dt, OWN_PASSING));
+        report.next_halvings = Some(halvings);
         report.unsettled += left;
     }
 
-    /// The points that meet in the motion by `span` (s) times the velocities.
-    fn hits(&self, velocity: &[f64], span: f64) -> Vec<ContactPair> {
-        let (nodes, _) = velocity.as_chunks::<3>();
-        let ways: Vec<DVec3> = nodes.iter().map(|v| span * DVec3::from(*v)).collect();
-        let triangles = &self.solids.triangles;
-        let depth = DEPTH * self.dx;
-        let may_touch: MayTouch = &|one, other| self.solids.may_touch(one, other);
-        let mut pairs = contact_hits(self.positions, &ways, triangles, (&self.bodies(), may_touch), depth);
-        pairs.retain(|pair| pair.points.iter().any(|&(node, _)| self.solids.prescribed[node as usize] != [true; 3]));
-        pairs
+    fn hits(&self, velocity: &[f64], span: f64, own: f64) -> Vec<ContactPair> {
+        hits(self.solids, self.positions, velocity.as_chunks::<3>().0, (span, own), self.dx)
     }
 
-    fn bodies(&self) -> Vec<Range<usize>> {
-        let bodies = self.solids.bodies.iter();
-        bodies.map(|body| body.triangles.clone()).collect()
+    /// Largest speed of a body's node relative to the body's rigid motion, m/s. `velocity`: of all nodes, m/s.
+    fn deforming_speed(&self, number: usize, velocity: &[[f64; 3]]) -> f64 {
+        let nodes = || self.solids.bodies[number].nodes.clone();
+        let [mass, x, v]: [&dyn Fn(usize) -> DVec3; 3] =
+            [&|node| DVec3::splat(self.solids.mass[node]), &|node| self.positions[node], &|node| {
+                DVec3::from(velocity[node])
+            }];
+        let whole = nodes().map(mass).sum::<DVec3>();
+        let [x_mean, v_mean] = [x, v].map(|of| nodes().map(|node| mass(node) * of(node)).sum::<DVec3>() / whole);
+        let momentum: DVec3 = nodes().map(|node| mass(node) * (x(node) - x_mean).cross(v(node) - v_mean)).sum();
+        let arms = nodes().map(|node| (&self.solids.mass[node], x(node) - x_mean));
+        let spin = inverse_inertia(None, arms).map_or(DVec3::ZERO, |inverse| inverse * momentum);
+        let relative = nodes().map(|node| v(node) - v_mean - spin.cross(x(node) - x_mean));
+        relative.map(DVec3::length).fold(0.0, f64::max)
     }
 
     /// The row of a pair; `None` where all its nodes are prescribed. `velocity`: of all nodes, m/s.
@@ -150,9 +162,57 @@ impl Touching<'_> {
         let coefficient = coefficients.fold(0.0, f64::max);
         Some(Row {
             entries: along(pair.normal),
-            least: -pair.gap.max(0.0) / self.dt,
+            least: -pair.gap / self.dt,
             friction: friction(coefficient, pair.normal, apart, DVec3::ZERO, along),
         })
+    }
+}
+
+fn bodies(solids: &Solids) -> Vec<Range<usize>> {
+    solids.bodies.iter().map(|body| body.triangles.clone()).collect()
+}
+
+/// The points that meet in the motion of a span (s) with velocities (m/s). `own`: depth of a body behind itself that counts, cells; `positions` in
+/// m; `dx`: a cell, m.
+fn hits(
+    solids: &Solids,
+    positions: &[DVec3],
+    velocity: &[[f64; 3]],
+    (span, own): (f64, f64),
+    dx: f64,
+) -> Vec<ContactPair> {
+    let ways: Vec<DVec3> = velocity.iter().map(|v| span * DVec3::from(*v)).collect();
+    let depth =
+        |one: usize, other: usize| solids.may_touch(one, other).then_some(dx * if one == other { own } else { DEPTH });
+    let hits = contact_hits(positions, &ways, &solids.triangles, (&bodies(solids), &depth), OVERLAP * dx).into_iter();
+    let free = |&(node, _): &(u32, f64)| solids.prescribed[node as usize] != [true; 3];
+    let hits = hits.filter(|pair| pair.points.iter().any(free));
+    hits.map(|pair| ContactPair { gap: pair.gap.max(0.0), ..pair }).collect()
+}
+
+/// The fewest halvings of a motion without meetings, and the meetings that the most leave. `hits`: those of a part of the motion.
+fn halvings(hits: impl Fn(f64) -> Vec<ContactPair>) -> (u32, u32) {
+    let mut left = 0;
+    let halvings = (0..=MOST_HALVINGS).find(|&times| {
+        left = hits(0.5_f64.powi(times as i32)).len() as u32;
+        left == 0
+    });
+    (halvings.unwrap_or(MOST_HALVINGS), left)
+}
+
+/// The longest first sub-step (s) in which the initial motion takes no solid through another: `longest`, as often halved as that needs, or 0 without
+/// a limit. No solve is before it that could stop them. `displacement` in m, `velocity` in m/s, `dx` in m.
+pub fn first_contact_step(
+    solids: &Solids,
+    displacement: &[[f64; 3]],
+    velocity: &[[f64; 3]],
+    longest: f64,
+    dx: f64,
+) -> f64 {
+    let positions = solids.moved(displacement).nodes;
+    match halvings(|part| hits(solids, &positions, velocity, (part * longest, OWN_PASSING), dx)) {
+        (0, _) => 0.0,
+        (times, _) => longest * 0.5_f64.powi(times as i32),
     }
 }
 

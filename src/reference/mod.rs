@@ -67,7 +67,7 @@ pub use advect_velocity::{advect_velocity, advect_velocity_maccormack};
 pub use ballistic::{Ballistic, ballistic_bodies, ballistic_cells, hold_near_others, wet_nodes};
 pub use bound_level::{bound_level, thin_liquid};
 pub use condition::{Condition, Conditions, conditions};
-pub use contact_rows::{MOST_COUPLED, MOST_MEETINGS, Touching};
+pub use contact_rows::{MOST_COUPLED, MOST_MEETINGS, Touching, first_contact_step};
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
 pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;

@@ -158,7 +158,7 @@ impl<'a> SubStep<'a> {
         state.volume_0 = results.volume_0_next.unwrap_or(state.volume_0);
         state.markers_dropped += results.removed_markers.dropped;
         state.advance_clock(dt, scene.time.frames_per_second);
-        state.contact_step = results.contact.next_step(dt);
+        state.contact_step = results.contact.next_step(dt, state.contact_step);
         let report = StepReport {
             dt,
             dt_floored: floored,

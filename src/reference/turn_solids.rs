@@ -117,7 +117,7 @@ fn midway(inverse: DMat3, momentum: DVec3, dt: f64) -> DVec3 {
 
 /// Inverse of sum m (|r|^2 I - r r^T), about the hinge alone if there is one. `None` for bodies on a line or in a
 /// point, or along the hinge, and for non-finite numbers.
-fn inverse_inertia<'a>(hinge: Option<DVec3>, of: impl Iterator<Item = (&'a f64, DVec3)>) -> Option<DMat3> {
+pub(super) fn inverse_inertia<'a>(hinge: Option<DVec3>, of: impl Iterator<Item = (&'a f64, DVec3)>) -> Option<DMat3> {
     let inertia = of.fold(DMat3::ZERO, |sum, (mass, r)| {
         let square = DMat3::from_cols(r.x * r, r.y * r, r.z * r);
         sum + *mass * (r.length_squared() * DMat3::IDENTITY - square)

@@ -386,6 +386,8 @@ pub struct Solid {
     pub contact: bool,
     /// Indices of solids that it does not touch.
     pub no_contact_with: Vec<usize>,
+    /// Whether its surface touches itself; default false.
+    pub self_contact: bool,
     /// Constrained or scripted nodes.
     pub pins: Vec<Pin>,
     /// Forces.

@@ -140,7 +140,8 @@ impl Scene {
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
         let meshes = contents(&meshes)?;
-        let rubs = has_friction(&domain, &obstacles, &solids);
+        let itself = solids.iter().any(|solid| solid.self_contact);
+        let touches = itself || has_friction(&domain, &obstacles, &solids);
         let mut scene = Scene {
             name: scene_name(path)?,
             file: path.to_owned(),
@@ -151,7 +152,7 @@ impl Scene {
             removed: document.removed().to_vec(),
             scale,
             overrides: overrides.to_vec(),
-            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty(), rubs)?,
+            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty(), touches)?,
             obstacles,
             sources: sources(&root, path, &domain, liquid.as_ref())?,
             sinks: sinks(&root, path, &domain, liquid.as_ref())?,
@@ -722,15 +723,16 @@ const LEVEL_THETA_FLOOR: f64 = 1e-4;
 /// The thesis's clamp, for its face areas.
 const NODAL_AREA_CLAMP: f64 = 1e-2;
 
-/// `surface` is that of the liquid; `None` without liquid. `rubs`: whether anything has friction.
-fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, rubs: bool) -> Result<Solver, Error> {
+/// `surface` is that of the liquid; `None` without liquid. `touches`: whether anything has friction, or a solid
+/// touches itself.
+fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, touches: bool) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
             Some(Surface::Markers) => ThetaFloor::from(MARKER_THETA_FLOOR),
             Some(Surface::Level) => ThetaFloor { whole: LEVEL_THETA_FLOOR, closing: MARKER_THETA_FLOOR },
             Some(Surface::Fixed) | None => Solver::default().theta_floor,
         },
-        solid_contact: rubs && has_solids,
+        solid_contact: touches && has_solids,
         ..Solver::default()
     };
     let Some(place) = root.get("solver") else {
@@ -769,9 +771,9 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, rubs: bool) 
         let contact = place.boolean()?;
         place.ensure(!contact || has_solids, "needs elastic solids", "remove it")?;
         place.ensure(
-            contact || !rubs || !has_solids,
-            "is off, and friction needs it",
-            "remove it: friction turns it on; or remove each `friction` above 0",
+            contact || !touches || !has_solids,
+            "is off, and friction or self_contact needs it",
+            "remove it: they turn it on; or remove each `friction` above 0 and each `self_contact`",
         )?;
         Ok(contact)
     })?;
@@ -781,8 +783,8 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, rubs: bool) 
         return Err(match table.get("solid_contact") {
             Some(place) => place.fail(problem, cure),
             None => table.required("coupling", "coupling = \"strong\"")?.fail(
-                "has liquid and solids in separate solves, and friction needs one solve",
-                "use coupling \"strong\", or remove each `friction` above 0",
+                "has liquid and solids in separate solves, and friction or self_contact needs one solve",
+                "use coupling \"strong\", or remove each `friction` above 0 and each `self_contact`",
             ),
         });
     }

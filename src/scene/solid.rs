@@ -35,6 +35,7 @@ const SOLID: Keys = Keys::new(&[
     "friction",
     "contact",
     "no_contact_with",
+    "self_contact",
     "pin",
     "script",
     "load",
@@ -85,7 +86,7 @@ fn no_contact_with(table: &Table, number: usize, solids: &[Solid]) -> Result<Vec
         let name = entry.text("the name of another solid")?;
         match solids.iter().position(|other| other.name == name) {
             Some(other) if other == number => {
-                Err(entry.fail("names the solid itself, which never touches itself", "remove it"))
+                Err(entry.fail("names the solid itself", "remove it; self_contact decides about that"))
             }
             Some(other) => Ok(other),
             None => {
@@ -149,6 +150,7 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
         contact: table.optional("contact", true, |place| place.boolean())?,
         // Needs the names of all solids.
         no_contact_with: Vec::new(),
+        self_contact: table.optional("self_contact", false, |place| place.boolean())?,
         pins,
         loads: loads.map(|place| load(place, file)).collect::<Result<_, _>>()?,
     })

@@ -17,6 +17,7 @@ const KEYS: &[(&str, &str)] = &[
     ("rho mass_density", "density"),
     ("e youngs_modulus young_modulus youngs elastic_modulus elasticity modulus stiffness", "young"),
     ("mu friction_coefficient static_friction dynamic_friction", "friction"),
+    ("self_collision self_collide self_intersection", "self_contact"),
     ("exclude exclude_contact ignore_collision filtered_pairs collision_filter", "no_contact_with"),
     ("collide collision collisions", "contact"),
     ("nu poisson_ratio poissons_ratio poissons", "poisson"),

@@ -334,7 +334,13 @@ fn first_state(scene: &Scene, solids: &Solids, obstacles: &CutCells, clip: Optio
     let cut = clip.map_or(obstacles, SolidClip::cut_cells);
     let (displacement, velocity) = solids.initial_state(scene);
     solids.ensure_clearance(scene, &obstacles.solid_distance, &displacement)?;
-    let mut state = geometry::initial_state(scene, &scene.grid(), cut)?;
+    let grid = scene.grid();
+    let mut state = geometry::initial_state(scene, &grid, cut)?;
+    if Effects::of(scene).solid_contact {
+        let longest = scene.time.fixed_step.or(scene.time.max_step).unwrap_or(f64::INFINITY);
+        let longest = longest.min(1.0 / scene.time.frames_per_second);
+        state.contact_step = reference::first_contact_step(solids, &displacement, &velocity, longest, grid.dx);
+    }
     (state.displacement, state.node_velocity) = (displacement, velocity);
     Ok(state)
 }

@@ -99,7 +99,8 @@ impl GpuPath {
         let liquid = self.liquid.as_mut();
         let liquid = liquid.zip(readback.pressure.zip(readback.liquid));
         let solids = self.solids.as_mut();
-        self.head.contact_step = readback.velocity.as_ref().map_or(0.0, |(_, contact)| contact.next_step(dt));
+        let before = self.head.contact_step;
+        self.head.contact_step = readback.velocity.as_ref().map_or(0.0, |(_, contact)| contact.next_step(dt, before));
         let solids = solids.zip(readback.velocity.zip(readback.solids));
         StepReport {
             dt,

@@ -61,6 +61,7 @@ mod report;
 mod rooms;
 mod scene;
 mod schema;
+mod self_contact;
 mod separation;
 mod shaders;
 mod skin;

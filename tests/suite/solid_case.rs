@@ -91,6 +91,7 @@ pub(crate) fn solids(parts: &[(TetMesh, Material)]) -> Solids {
             friction: 0.0,
             contact: true,
             no_contact_with: Vec::new(),
+            self_contact: false,
         });
     }
     solids.mass.iter_mut().for_each(|mass| *mass = single(*mass));

@@ -43,6 +43,7 @@ pub(crate) fn body(mesh: SolidMesh) -> Solid {
         friction: 0.0,
         contact: true,
         no_contact_with: Vec::new(),
+        self_contact: false,
         pins: Vec::new(),
         loads: Vec::new(),
     }

@@ -103,7 +103,7 @@ fn numbers(solids: &Solids, state: &State) -> (f64, Vec<DVec3>) {
     let positions: Vec<DVec3> = (0..solids.rest.len()).map(x).collect();
     let bodies = solids.bodies.iter();
     let ranges: Vec<_> = bodies.clone().map(|body| body.triangles.clone()).collect();
-    let pairs = contact_pairs(&positions, &solids.triangles, (&ranges, &|_, _| true), 0.1);
+    let pairs = contact_pairs(&positions, &solids.triangles, &ranges, &|a, b| (a != b).then_some(0.1));
     let of_node = |pair: &&ContactPair| pair.points.iter().any(|point| point.1.abs() == 1.0);
     let overlap = (pairs.iter().filter(of_node)).fold(0.0, |worst, pair| f64::max(worst, -pair.gap));
     (overlap, bodies.map(|body| body.nodes.clone().map(p).sum()).collect())
