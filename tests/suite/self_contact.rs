@@ -68,7 +68,8 @@ fn ring(overrides: &[&str]) -> Scene {
     project_scene("ring_on_itself", 1.0, overrides)
 }
 
-/// The ring of the scene lies down on itself: nothing passes, no solve adds energy, and without contact it passes through itself.
+/// The ring of the scene lies down on itself: sub-steps are halved where it would pass, nothing passes, no solve adds energy, and without contact it
+/// passes through itself.
 #[test]
 fn a_ring_lies_on_itself() {
     let deepest = |itself: bool| {
@@ -77,11 +78,13 @@ fn a_ring_lies_on_itself() {
         let solids = simulation.solids().clone();
         let gravity = scene.domain.gravity;
         let whole = solids.mass.iter().sum::<f64>() * gravity.length() * 0.26;
-        let (mut deepest, mut rise) = (0.0_f64, f64::NEG_INFINITY);
+        let (mut deepest, mut rise, mut halved) = (0.0_f64, f64::NEG_INFINITY, false);
         let mut before = simulation.state().unwrap();
         let mut step = 0;
         while before.time < 0.35 {
-            let dt = simulation.step().unwrap().dt;
+            let report = simulation.step().unwrap();
+            let dt = report.dt;
+            halved |= report.solid.unwrap().contact.next_halvings > Some(0);
             let after = simulation.state().unwrap();
             // Backward Euler ends where the next move goes.
             let moved = after.displacement.iter().zip(&after.node_velocity);
@@ -97,6 +100,7 @@ fn a_ring_lies_on_itself() {
         }
         println!("{itself}: {deepest} m deep, {step} sub-steps, energy rises by {rise:e}");
         assert!(rise <= 1e-9, "{itself}: {rise}");
+        assert_eq!(halved, itself);
         deepest
     };
     let [with, without] = [true, false].map(deepest);
