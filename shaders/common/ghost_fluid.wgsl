@@ -9,7 +9,7 @@ struct ActiveSettings {
     // Smallest theta of full-aperture and of closing faces.
     theta_floor: f32,
     closing_theta_floor: f32,
-    // Open sides of the domain, see walls.
+    // 0 or 1: whether sides of the domain are open.
     open_sides: u32,
     pad: f32,
 }

@@ -84,7 +84,7 @@ pub struct ActiveSettings {
     pub theta_floor: f32,
     /// As [`ThetaFloor::closing`].
     pub closing_theta_floor: f32,
-    /// Not 0 where sides of the domain are open.
+    /// 1 where sides of the domain are open.
     pub open_sides: u32,
     /// Nothing.
     pub pad: f32,

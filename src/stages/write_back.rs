@@ -7,8 +7,8 @@ use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage; `free_surface` as [`PressureSystem::new`](super::PressureSystem::new) has it. Computes `velocity` from `velocity_next` and the potential p dt / (rho dx), m/s, and flags the faces in
-/// `valid`. Other faces become 0.
+/// The stage: computes `velocity` from `velocity_next` and the potential p dt / (rho dx), m/s, and flags the faces in
+/// `valid`. Other faces become 0. `free_surface`: as for [`PressureSystem::new`](super::PressureSystem::new).
 pub fn write_back(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
