@@ -184,7 +184,7 @@ fn forces_on_each_solid_sum_up_to_those_on_all() {
 }
 
 /// Largest difference of two fields.
-fn off<'a>(found: impl IntoIterator<Item = &'a f64>, twin: impl IntoIterator<Item = &'a f64>) -> f64 {
+pub(crate) fn off<'a>(found: impl IntoIterator<Item = &'a f64>, twin: impl IntoIterator<Item = &'a f64>) -> f64 {
     let pairs = found.into_iter().zip(twin);
     pairs.fold(0.0, |m, (a, b)| f64::max(m, (a - b).abs()))
 }

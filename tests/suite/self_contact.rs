@@ -8,6 +8,7 @@ use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
 
 use crate::common::{gpu, project_scene, scene_from};
+use crate::coupled_gpu::off;
 use crate::solid_scene::{alone, block, body};
 
 /// Corners of faces and ends of edges of a tetrahedron.
@@ -182,8 +183,7 @@ fn self_contact_on_the_device_is_that_of_the_twin() {
     let report = simulation.step().unwrap().solid.unwrap();
     assert!(report.contact.solves > 1, "{report:?} for {pressed:?}");
     let [ours, theirs] = [&simulation, &twin].map(|it| it.state().unwrap().node_velocity);
-    let pairs = ours.as_flattened().iter().zip(theirs.as_flattened());
-    let off = pairs.fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()));
+    let off = off(ours.as_flattened(), theirs.as_flattened());
     println!("{off} m/s");
     // Positions in f32 pairs: gaps over dt.
     assert!(off <= 1e-4, "{off} m/s");

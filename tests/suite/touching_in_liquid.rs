@@ -10,6 +10,7 @@ use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
 
 use crate::common::gpu;
+use crate::coupled_gpu::off;
 
 fn scene(text: &str) -> Scene {
     let folder = tempfile::tempdir().unwrap();
@@ -343,8 +344,7 @@ fn an_impact_on_the_device_is_that_of_the_twin() {
         let report = simulation.step().unwrap().solid.unwrap();
         assert!(report.contact.solves > 1, "{report:?}");
         let [ours, theirs] = [&simulation, &twin].map(|it| it.state().unwrap().node_velocity);
-        let pairs = ours.as_flattened().iter().zip(theirs.as_flattened());
-        let off = pairs.fold(0.0, |most, (a, b)| f64::max(most, (a - b).abs()));
+        let off = off(ours.as_flattened(), theirs.as_flattened());
         println!("level {level}: {off} m/s");
         // Positions in f32 pairs, areas and levels of the liquid in f32: gaps over dt, and pressures to 1e-6 of those of the impact.
         assert!(off <= 1e-4, "level {level}: {off} m/s of 1.1 m/s");
