@@ -48,6 +48,8 @@ arrays! {
             uniform level_step: LevelStep [LevelStep { capacity: plan.n_markers as u32, ..LevelStep::default() }] as "level.step",
             /// phi*: the level after its transport. During `advect_level` the departure points (`common/departure_words.wgsl`).
             pub array carried_level: f32 [padded.len()],
+            /// Bounds of the level where liquid leaves walls, from `advect_level` to `redistance`.
+            pub array separation_bounds: f32 [padded.len()] if plan.effects.separation,
             /// The level after the last stage that changed it.
             pub array new_level: f32 [padded.len()],
             /// Scratch: the level during a stage, the first-order transport in `advect_level`.

@@ -15,6 +15,8 @@
 //! of a cell. G is a pass of (1/4, 1/2, 1/4) along each axis. Liquid is thin where no cell within three in every direction
 //! is deeper than 1.5 cells. In thick liquid only a surface that differs by half a cell moves, so the noise of the markers
 //! has no effect.
+//!
+//! [`separated_level`](super::separated_level) then bounds cells where liquid leaves a wall.
 
 use rayon::prelude::*;
 

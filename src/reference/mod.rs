@@ -41,6 +41,7 @@ mod redistance;
 mod refine;
 mod right_hand_side;
 mod sample;
+mod separated_level;
 mod separation;
 mod slivers;
 mod solid_contacts;
@@ -103,6 +104,7 @@ pub use refine::EPSILON;
 pub(crate) use refine::{Correction, LinearSystem, part_left, refine_parts};
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
+pub use separated_level::{raise_separated, separated_level};
 pub use separation::{Candidates, Separation, opening, touching_cells};
 pub use slivers::{is_sliver, shown_to_whole};
 pub use solid_contacts::{

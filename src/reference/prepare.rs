@@ -81,7 +81,7 @@ fn prepare_level(grid: &Grid, cut: &CutCells, open_volumes: &[f64], surface: &Li
     let distance = state.liquid_distance.iter();
     let mut level: Vec<f64> = distance.map(|phi| (phi / grid.dx).clamp(-REACH, REACH)).collect();
     extend_level(grid, cut, &mut level);
-    let mut level = redistance(LevelCells { grid, cut }, &level);
+    let mut level = redistance(LevelCells { grid, cut }, &[], &level);
     extend_level(grid, cut, &mut level);
     let mut components = liquid_components(grid, &cut.open, open_volumes, &level);
     let part = |cell: usize| match components.label[cell] {

@@ -16,6 +16,9 @@
 //! m is outside [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
 //! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where m is undefined.
 //!
+//! Liquid that leaves a wall has its surface between a cell and the wall ([`separated_level`](super::separated_level)). That cell is at the interface, and
+//! its value does not change.
+//!
 //! Cells with their centre in a body have an extended level. Gradients and distances include them, so that liquid under an overhang has
 //! its depth. They are never at the interface, and their value does not change.
 
@@ -39,16 +42,17 @@ const LEAST_SLOPE: f64 = 0.5;
 /// Steepness of both sides of a kink, and of a slope to a cell of a body that counts.
 const STEEP: f64 = 0.1;
 
-/// The redistanced level, cells.
-pub fn redistance(cells: LevelCells, level: &[f64]) -> Vec<f64> {
-    let distance = distance(cells, level);
+/// The redistanced level, cells. `separated`: bounds from [`separated_level`](super::separated_level); empty for none.
+pub fn redistance(cells: LevelCells, separated: &[f64], level: &[f64]) -> Vec<f64> {
+    let leaves_wall = |cell: usize| level[cell] < 0.0 && separated.get(cell).is_some_and(|bound| bound.is_finite());
+    let distance = distance(cells, leaves_wall, level);
     let mixed = |cell: usize| {
         let (phi, d) = (level[cell], distance[cell]);
         let near = d.abs() < NEAR || cells.cut.solid_distance[cell] < NEAR * cells.grid.dx;
         if near && phi.abs() < FAR { phi } else { d }
     };
     let mixed: Vec<f64> = (0..level.len()).map(mixed).collect();
-    let relax = |cell: usize| match cells.is_open(cell) {
+    let relax = |cell: usize| match cells.is_open(cell) && !leaves_wall(cell) {
         true => relaxed(cells, &mixed, cell),
         false => level[cell],
     };
@@ -64,9 +68,9 @@ fn at_interface(cells: LevelCells, level: &[f64], cell: usize) -> bool {
 }
 
 /// D: the distance from the interface cells with the sign of the level, cells.
-fn distance(cells: LevelCells, level: &[f64]) -> Vec<f64> {
+fn distance(cells: LevelCells, leaves_wall: impl Fn(usize) -> bool + Sync, level: &[f64]) -> Vec<f64> {
     let all = || (0..level.len()).into_par_iter();
-    let kept: Vec<bool> = all().map(|cell| at_interface(cells, level, cell)).collect();
+    let kept: Vec<bool> = all().map(|cell| at_interface(cells, level, cell) || leaves_wall(cell)).collect();
     let start = |cell: usize| match kept[cell] {
         true => level[cell].abs().min(REACH),
         false => REACH,

@@ -572,9 +572,8 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let separation = table.optional("separation", Separation::None, |place| {
         place.choice(&[("none", Separation::None), ("walls", Separation::Walls), ("from_air", Separation::FromAir)])
     })?;
-    let separates = separation != Separation::None;
     // Keys that act on markers alone imply them.
-    let of_markers = separates || table.get("marker_radius").is_some() || root.get("surface").is_some();
+    let of_markers = table.get("marker_radius").is_some() || root.get("surface").is_some();
     let default = if of_markers { Surface::Markers } else { Surface::Level };
     let surface = table.optional("surface", default, |place| {
         let surface =
@@ -588,9 +587,9 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     })?;
     if let Some(place) = table.get("separation") {
         place.ensure(
-            !separates || surface == Surface::Markers,
-            "lets liquid leave walls, which needs a surface of markers",
-            "use surface = \"markers\", or separation = \"none\"",
+            separation == Separation::None || surface != Surface::Fixed,
+            "lets liquid leave walls, which needs a surface that moves",
+            "use surface = \"level\", or separation = \"none\"",
         )?;
     }
     let marker_radius = table.optional("marker_radius", 0.87, |place| {

@@ -129,6 +129,8 @@ impl LiquidSnapshot {
 pub struct LevelSnapshot {
     /// Level after its transport, cells.
     pub carried: Vec<f64>,
+    /// Bounds of the level where liquid leaves walls, cells, minus infinity elsewhere; empty without separation.
+    pub separation_bounds: Vec<f64>,
     /// Level after the last stage that changed it, cells.
     pub level: Vec<f64>,
     /// Fraction of the surroundings that markers fill.
@@ -391,12 +393,18 @@ impl LevelSnapshot {
             let values = gpu.download(field)?;
             Ok::<_, Error>(grid.padded().unpad(grid.cells, &values, f64::from))
         };
+        // NO_BOUND in `shaders/common/level_values.wgsl`.
+        let or_none = |bound| if bound <= f64::from(-1e30_f32) { f64::NEG_INFINITY } else { bound };
         let mut state = State::default();
         level.read_components(gpu, &mut state)?;
         let velocity = gpu.download(&level.marker_velocity)?;
         let velocity = &velocity[..n_slots];
         Ok(LevelSnapshot {
             carried: cells(&level.carried_level)?,
+            separation_bounds: match &level.separation_bounds {
+                Some(bounds) => cells(bounds)?.into_iter().map(or_none).collect(),
+                None => Vec::new(),
+            },
             level: cells(&level.new_level)?,
             occupancy: cells(&level.occupancy)?,
             excess: cells(&level.excess)?,

@@ -7,7 +7,8 @@ use crate::gpu::{Binding, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: `liquid_distance` to `carried_level` on the band, and the components that cells come from to `component_origin`.
+/// The stage: `liquid_distance` to `carried_level` on the band, and the components that cells come from to `component_origin`. With
+/// separation, `separation_bounds` too.
 pub fn advect_level(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
@@ -23,10 +24,13 @@ pub fn advect_level(
         let bound = kernel.bind(gpu, own, &[liquid, solver, level])?;
         Ok::<_, Error>(bound.indirect(&liquid.band_args, 0))
     };
-    let list = [
+    let mut list = vec![
         over_band(wgsl!("advect_level"), &[distances, departures])?,
         over_band(wgsl!("component_origins"), &[("labels", (&level.component).into()), departures])?,
         over_band(wgsl!("correct_level"), &[distances])?,
     ];
+    if level.separation_bounds.is_some() {
+        list.push(over_band(wgsl!("separated_level"), &[distances])?);
+    }
     Ok(Dispatches::new(Stage::AdvectLevel.name(), list))
 }

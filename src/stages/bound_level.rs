@@ -16,12 +16,15 @@ pub fn bound_level(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> R
     // The marks of thick liquid, which spread along one axis per kernel.
     let marks = [&level.thin, &level.thin_next];
     let spread = [("thick_in", marks[0].into()), ("thick_out", marks[1].into())];
-    let list = [
+    let mut list = vec![
         over_band(wgsl!("mark_thick"), &[("thick", marks[0].into())])?,
         over_band(wgsl!("spread_thick"), &spread)?,
         over_band(wgsl!("mark_thin"), &[("thick_in", marks[1].into())])?,
         over_band(wgsl!("bound_thin"), &[])?,
         over_band(wgsl!("bound_level"), &[])?,
     ];
+    if level.separation_bounds.is_some() {
+        list.push(over_band(wgsl!("raise_separated"), &[])?);
+    }
     Ok(Dispatches::new(Stage::BoundLevel.name(), list))
 }

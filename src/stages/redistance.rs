@@ -20,6 +20,10 @@ pub fn redistance(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Re
     };
     let mut list = extend_level(gpu, liquid, level)?;
     list.push(over_band(wgsl!("start_redistance"), &[])?);
+    let separates = level.separation_bounds.is_some();
+    if separates {
+        list.push(over_band(wgsl!("start_separated"), &[])?);
+    }
     let distances = [&level.eikonal_now, &level.eikonal_next];
     for n in 0..PASSES {
         let ends = [("distance_in", distances[n % 2].into()), ("distance_out", distances[1 - n % 2].into())];
@@ -29,5 +33,8 @@ pub fn redistance(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Re
     let last = [("distances", distances[PASSES % 2].into()), mixed];
     list.push(over_band(wgsl!("mix_level"), &last)?);
     list.push(over_band(wgsl!("relax_level"), &[mixed])?);
+    if separates {
+        list.push(over_band(wgsl!("keep_separated"), &[mixed])?);
+    }
     Ok(Dispatches::new(Stage::Redistance.name(), list))
 }

@@ -192,7 +192,7 @@ fn redistance_keeps_the_interface_cells_of_a_plane() {
     let cells = LevelCells { grid: &grid, cut: &cut };
     let normal = DVec3::new(0.48, 0.8, 0.36);
     let plane = field(&grid, |x| (x - 10.13).dot(normal).clamp(-5.0, 5.0));
-    let after = redistance(cells, &plane);
+    let after = redistance(cells, &[], &plane);
     let inside = |cell: usize| plane[cell] < 0.0;
     for cell in inner(&grid, 5) {
         let across = |axis| cells.beside(cell, axis).into_iter().any(|n| inside(n) != inside(cell));
@@ -205,7 +205,7 @@ fn redistance_keeps_the_interface_cells_of_a_plane() {
     // A level twice too steep flattens, with its signs.
     let mut steep: Vec<f64> = plane.iter().map(|phi| 2.0 * phi).collect();
     for _ in 0..60 {
-        steep = redistance(cells, &steep);
+        steep = redistance(cells, &[], &steep);
     }
     let near = |&cell: &usize| (0.2..1.2).contains(&plane[cell].abs());
     let ratios: Vec<f64> = inner(&grid, 6).filter(near).map(|cell| steep[cell] / plane[cell]).collect();

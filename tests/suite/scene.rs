@@ -181,17 +181,14 @@ fn keys_that_act_on_markers_alone_imply_them() {
                 [[liquid.region]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.3 }\n";
     let surface = |overrides: &[&str]| load(text, overrides, 1.0).unwrap().liquid.unwrap().surface;
     for (key, expected) in [
-        ("liquid.separation=walls", Surface::Markers),
-        ("liquid.separation=from_air", Surface::Markers),
-        ("liquid.separation=none", Surface::Level),
+        ("liquid.separation=walls", Surface::Level),
+        ("liquid.separation=from_air", Surface::Level),
         ("liquid.marker_radius=0.9", Surface::Markers),
         ("surface.smoothing=5", Surface::Markers),
     ] {
         assert_eq!(surface(&[key]), expected, "{key}");
     }
     assert_eq!(surface(&["liquid.marker_radius=0.9", "liquid.surface=level"]), Surface::Level);
-    let error = load(text, &["liquid.separation=walls", "liquid.surface=level"], 1.0).unwrap_err().to_string();
-    assert!(error.contains("liquid.separation") && error.contains("needs a surface of markers"), "{error}");
 }
 
 #[test]
@@ -323,7 +320,7 @@ const REFUSED: &[Case] = &[
     ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.05, crest = [0, 0], direction = [0, 0] }", 24, "liquid.region[2].solitary.direction", &["no direction", "[1, 0]"]),
     ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.05, crest = [0, 0], direction = [1, 0] }", 24, "liquid.region[2].solitary", &["gravity is [0, 0, -9.81]", "along -y"]),
     ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nvolume_control = true", 14, "liquid.volume_control", &["no volume control"]),
-    ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nseparation = \"walls\"", 14, "liquid.separation", &["needs a surface of markers", "\"none\""]),
+    ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nseparation = \"walls\"", 14, "liquid.separation", &["needs a surface that moves", "\"none\""]),
     ("volume_control = false", "separation = \"air\"", 16, "liquid.separation", &["\"from_air\""]),
     // Obstacles.
     ("axis = [0, 3, 0]", "axis = [0, 0, 0]", 26, "obstacle[0].cylinder.axis", &["no direction"]),

@@ -2,13 +2,13 @@
 
 use cutwater::gpu::Recorder;
 use cutwater::measure::bounds::level_error;
-use cutwater::reference::{self, Ballistic};
+use cutwater::reference::{self, Ballistic, LevelCells};
 use cutwater::stages::advect_level;
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{Random, gpu};
 use crate::level_case::{level_buffers, level_cases};
-use crate::liquid_case::{Case, GRAVITY, assert_close};
+use crate::liquid_case::{Case, EPS, GRAVITY, assert_close};
 
 #[test]
 fn the_level_goes_where_it_goes_in_the_twin() {
@@ -90,6 +90,64 @@ fn the_level_goes_where_it_goes_in_the_twin() {
         assert!(50 * n_unsteady <= n, "{}: {n_unsteady} of {n} cells hang on a rounding", case.name);
     }
     assert!(2 * n_corrected > n_compared, "{n_corrected} of {n_compared}");
+}
+
+/// Cells at walls and bodies separate, and some others, which must not matter.
+#[test]
+fn liquid_leaves_walls_as_in_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    // Cells with a bound, away from bodies and beside them.
+    let mut bounded = [0; 2];
+    for mut case in level_cases() {
+        case.effects.separation = true;
+        let (grid, dt) = (case.grid, case.dt);
+        let mut random = Random(17);
+        case.state.separated = (0..grid.n_cells()).map(|_| random.uniform(0.0, 1.0) < 0.4).collect();
+        let buffers = case.upload(gpu);
+        let level = level_buffers(gpu, &case, &buffers);
+        let solver = case.solved(gpu);
+        let stage = advect_level(gpu, &buffers, &solver, &level).unwrap();
+        let bounds = level.separation_bounds.as_ref().unwrap();
+        let run = |stale: f32| {
+            case.write(gpu, &buffers);
+            buffers.write_separated(gpu, &case.state);
+            case.band(gpu, &buffers);
+            gpu.upload(bounds, &vec![stale; bounds.len()]);
+            let mut recorder = Recorder::new(gpu);
+            stage.record(&mut recorder);
+            recorder.submit();
+            buffers.padded.unpad(grid.cells, &gpu.download(bounds).unwrap(), f64::from)
+        };
+        let device = run(f32::NAN);
+        let again = run(0.5);
+        let in_band = case.in_band(gpu, &buffers);
+        let distance = gpu.download(&buffers.liquid_distance).unwrap();
+        let before = buffers.padded.unpad(grid.cells, &distance, |phi| f64::from(phi) / grid.dx);
+        let cells = LevelCells { grid: &grid, cut: &case.cut };
+        let twin = reference::separated_level(cells, &case.state.velocity, &case.state.separated, &before, dt);
+        // The motion is a mean of two velocities times two factors, 6 roundings. Normals are differences of distances, off by two roundings
+        // of up to 3 cells over at least a tenth of a cell. The level is sampled along them: a slope of up to 10 cells per cell. The gap of up to 6 cells has a
+        // product and 20 roundings of a sample of up to 5 cells.
+        let motion = case.speed() * dt / grid.dx;
+        let normal = 60.0 * EPS;
+        let bound = (12.0 * EPS + normal) * motion + 6.0 * (100.0 * EPS + 10.0 * normal);
+        let mut places = Vec::new();
+        for cell in 0..grid.n_cells() {
+            let ijk = grid.cell_at(cell);
+            if !in_band(ijk) {
+                continue;
+            }
+            assert_eq!(device[cell].to_bits(), again[cell].to_bits(), "{}: again at {ijk:?}", case.name);
+            let none = device[cell] < -1e29;
+            assert_eq!(none, twin[cell] == f64::NEG_INFINITY, "{}: bound at {ijk:?}", case.name);
+            if !none {
+                places.push((device[cell], twin[cell], bound, ijk));
+                bounded[usize::from(case.cut.solid_distance[cell] < grid.dx)] += 1;
+            }
+        }
+        assert_close(case.name, places);
+    }
+    assert!(bounded.iter().all(|&n| n > 100), "{bounded:?}");
 }
 
 /// What is ballistic for positions that are off by up to 1e-4 cells: they may be on either side of a border.

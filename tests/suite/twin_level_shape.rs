@@ -18,6 +18,9 @@ use crate::common::{Random, gpu};
 use crate::level_case::{level_buffers, level_cases, level_of};
 use crate::liquid_case::{Case, EPS, single};
 
+/// Bound of the level where no liquid leaves a wall, on the device.
+const NO_BOUND: f64 = -1e30;
+
 /// Level of air, cells.
 const AIR: f64 = 5.0;
 /// Occupancy that is unknown.
@@ -187,6 +190,30 @@ impl<'a> Run<'a> {
     }
 }
 
+/// Every case, and with separation.
+fn with_and_without_separation() -> Vec<Case> {
+    let with = |case: Case| Case { effects: Effects { separation: true, ..case.effects }, ..case };
+    level_cases().into_iter().chain(level_cases().into_iter().map(with)).collect()
+}
+
+impl Run<'_> {
+    /// Writes bounds of the level where liquid leaves walls: in a fifth of the cells, up to a cell above or below the level; infinite ones
+    /// for the twin elsewhere. Empty without separation.
+    fn put_bounds(&self, level: &[f64]) -> Vec<f64> {
+        let Some(bounds) = &self.level.separation_bounds else {
+            return Vec::new();
+        };
+        let mut random = Random(11);
+        let values = level.iter().map(|phi| {
+            let bound = phi + random.uniform(-1.0, 1.0);
+            if random.uniform(0.0, 1.0) < 0.2 { bound } else { NO_BOUND }
+        });
+        let values: Vec<f64> = values.collect();
+        let written = self.put(bounds, &values, NO_BOUND, 0.3);
+        written.into_iter().map(|bound| if bound > 0.9 * NO_BOUND { bound } else { f64::NEG_INFINITY }).collect()
+    }
+}
+
 /// Rounding of a level (up to 8 cells with the overshoot) in bodies, cells: a pass takes differences of values with coefficients
 /// whose magnitudes add up to less than 3 and adds 110 roundings (`twin_liquid_distance`).
 fn extended(off: f64) -> f64 {
@@ -239,13 +266,14 @@ fn markers_fill_the_surroundings_as_in_the_twin() {
 #[test]
 fn markers_bound_the_level_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    let mut changed = [0; 2];
-    for run in runs(gpu, &level_cases()) {
+    let (mut changed, mut raised) = ([0; 2], 0);
+    for run in runs(gpu, &with_and_without_separation()) {
         let (grid, distance) = (&run.case.grid, &run.case.cut.solid_distance);
         let level = run.put_level(&run.level.carried_level, &level_of(run.case));
         let (markers, spray) = run.markers();
         let fraction = reference::occupancy(grid, distance, &level, &markers, &spray);
         let fraction = run.put(&run.level.occupancy, &fraction, 0.0, 0.7);
+        let bounds = run.put_bounds(&level);
         let stage = [stages::bound_level(gpu, &run.liquid, &run.level).unwrap()];
         run.record(&stage);
         let first = run.bits(&run.level.new_level);
@@ -259,7 +287,10 @@ fn markers_bound_the_level_as_in_the_twin() {
             let mark = marks[index / 4] >> (index % 4) & 1 == 1;
             assert_eq!(mark, thin[cell], "{}: thin {cell}", run.name);
         }
-        let twin = reference::bound_level(run.cells(), &fraction, &thin, &level);
+        let mut twin = reference::bound_level(run.cells(), &fraction, &thin, &level);
+        let by_markers = twin.clone();
+        reference::raise_separated(&bounds, &mut twin);
+        raised += twin.iter().zip(&by_markers).filter(|(raised, before)| raised != before).count();
         // Sums of 27 values in three nested passes and a quotient: 28 roundings of G, 1.6 times that. In thin liquid q is off by 4
         // roundings, its root by those over twice the root, and at most by the root of the same; the curvature, a sixth of which
         // counts, is a sum of six differences of up to 7 cells, in order: 6 and 6 + .. + 1 roundings of partial sums below 42.
@@ -273,17 +304,17 @@ fn markers_bound_the_level_as_in_the_twin() {
         };
         run.compare("bounded level", [&device, &twin], bound, |_| true);
         for cell in (0..thin.len()).filter(|&cell| run.in_band[cell]) {
-            changed[usize::from(thin[cell])] += usize::from(twin[cell] != level[cell]);
+            changed[usize::from(thin[cell])] += usize::from(by_markers[cell] != level[cell]);
         }
     }
-    assert!(changed.iter().all(|&n| n > 500), "{changed:?}");
+    assert!(changed.iter().all(|&n| n > 500) && raised > 500, "{changed:?}, {raised}");
 }
 
 #[test]
 fn the_level_is_redistanced_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
     let mut changed = [0; 2];
-    let cases = level_cases();
+    let cases = with_and_without_separation();
     let factors = [0.6, 2.2];
     let both = runs(gpu, &cases).flat_map(|run| {
         let run = std::rc::Rc::new(run);
@@ -292,6 +323,7 @@ fn the_level_is_redistanced_as_in_the_twin() {
     for (run, factor) in both {
         let values = run.level_values(factor);
         let mut level = run.put_level(&run.level.new_level, &values);
+        let bounds = run.put_bounds(&level);
         let stage = [stages::redistance(gpu, &run.liquid, &run.level).unwrap()];
         run.record(&stage);
         let first = run.bits(&run.level.new_level);
@@ -300,7 +332,7 @@ fn the_level_is_redistanced_as_in_the_twin() {
         assert!(first == run.bits(&run.level.new_level), "{}", run.name);
         let device = run.get(&run.level.new_level);
         reference::extend_level(&run.case.grid, &run.case.cut, &mut level);
-        let twin = reference::redistance(run.cells(), &level);
+        let twin = reference::redistance(run.cells(), &bounds, &level);
         // The solution of a pass is off by no more than its neighbours, and by 64 roundings: sums up to 15, a root, a quotient. The
         // relaxation takes differences along three axes, 8 times that at most. Beside bodies they have extended values.
         let passes = 9.0 * 64.0 * EPS;
@@ -457,7 +489,7 @@ fn the_stages_of_the_shape_in_a_row_do_what_the_twins_do() {
     let bounded = reference::bound_level(run.cells(), &fraction, &thin, &carried);
     let mut twin = bounded.clone();
     reference::extend_level(grid, cut, &mut twin);
-    let redistanced = reference::redistance(run.cells(), &twin);
+    let redistanced = reference::redistance(run.cells(), &[], &twin);
     let filtered = reference::filter_level(run.cells(), &thin, motion, &redistanced);
     twin.clone_from(&filtered);
     reference::extend_level(grid, cut, &mut twin);

@@ -10,8 +10,8 @@ use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
     advect_level, advect_level_markers, balance, bound_level, closed_to_markers, component_origins, emit_markers,
     empty_level_sinks, excess, extend_level, fill_sources, filter_level, interpolant_part, land, limit_targets,
-    liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow, redistance, remove_volumes,
-    renewed_volume, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
+    liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow, raise_separated, redistance, remove_volumes,
+    renewed_volume, separated_level, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -20,6 +20,8 @@ use crate::state::State;
 pub(super) struct LevelResults {
     /// Level after its transport, cells.
     carried: Vec<f64>,
+    /// Bounds of the level where liquid leaves walls, cells.
+    separation_bounds: Vec<f64>,
     occupancy: Vec<f64>,
     thin: Vec<bool>,
     /// Level after the last stage that changed it, cells.
@@ -143,7 +145,9 @@ impl SubStep<'_> {
         let dt = self.time_step.dt;
         let mut carried = advect_level(grid, open, &before.velocity, &ballistic, &level, dt);
         let open_volumes = self.open_volumes();
+        let bounds = separated_level(self.cells(), &before.velocity, &before.separated, &level, dt);
         let results = &mut self.results.level;
+        results.separation_bounds = bounds;
         results.first_fill = fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
         let apertures = &self.boundary.cut_cells().open;
         let left = outflow(grid, open, apertures, &before.velocity, &level, dt);
@@ -167,7 +171,8 @@ impl SubStep<'_> {
     pub(super) fn bound_level(&mut self) {
         let level = &self.results.level;
         let thin = thin_liquid(&self.model.grid, &level.carried);
-        let bounded = bound_level(self.cells(), &level.occupancy, &thin, &level.carried);
+        let mut bounded = bound_level(self.cells(), &level.occupancy, &thin, &level.carried);
+        raise_separated(&level.separation_bounds, &mut bounded);
         self.results.level.level = bounded;
         self.results.level.thin = thin;
     }
@@ -175,7 +180,7 @@ impl SubStep<'_> {
     pub(super) fn redistance(&mut self) {
         let mut level = std::mem::take(&mut self.results.level.level);
         extend_level(&self.model.grid, self.boundary.cut_cells(), &mut level);
-        self.results.level.level = redistance(self.cells(), &level);
+        self.results.level.level = redistance(self.cells(), &self.results.level.separation_bounds, &level);
     }
 
     pub(super) fn filter_level(&mut self) {

@@ -142,6 +142,22 @@ impl LiquidComparison<'_> {
         let band = self.settled(after);
         let settled = LiquidSnapshot { band, ..after.clone() };
         self.band_cells(["phi", "cells"], &settled, &now.carried, &twins, bound);
+        if !now.separation_bounds.is_empty() {
+            self.separated_level(after, now, &level);
+        }
+    }
+
+    /// The normal of a body is off by the rounding of two distances over their difference, at least half a cell.
+    fn separated_level(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot, level: &[f64]) {
+        let velocity = &self.before.velocity;
+        let finite = |bounds: &[f64]| -> Vec<f64> { bounds.iter().map(|bound| bound.max(-REACH)).collect() };
+        let motion = self.dt() * reference::max_speed(velocity) / self.grid.dx;
+        let bound = EPS * (PASS * REACH + 16.0 * self.extent() * motion);
+        let twins = self.twins(level, EPS * REACH, |level| {
+            let separated = &self.before.separated;
+            finite(&reference::separated_level(self.level_cells(), velocity, separated, level, self.dt()))
+        });
+        self.band_cells(["bound", "cells"], after, &finite(&now.separation_bounds), &twins, bound);
     }
 
     /// Sources and sinks in the twins of the advected level, of an error `bound` (cells). Volumes: of a cell the error of the level
@@ -285,7 +301,9 @@ impl LiquidComparison<'_> {
         let occupancy = &before.occupancy;
         let bounded = |carried: &[f64], occupancy: &[f64]| {
             let thin = reference::thin_liquid(&self.grid, carried);
-            reference::bound_level(self.level_cells(), occupancy, &thin, carried)
+            let mut level = reference::bound_level(self.level_cells(), occupancy, &thin, carried);
+            reference::raise_separated(&before.separation_bounds, &mut level);
+            level
         };
         let mut twins = vec![bounded(&carried, occupancy)];
         for pattern in 0..PATTERNS {
@@ -305,7 +323,7 @@ impl LiquidComparison<'_> {
         let twins = self.twins(&level, bound, |level| {
             let mut level = level.to_vec();
             reference::extend_level(&self.grid, &self.cut, &mut level);
-            reference::redistance(self.level_cells(), &level)
+            reference::redistance(self.level_cells(), &before.separation_bounds, &level)
         });
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
