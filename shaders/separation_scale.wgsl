@@ -1,7 +1,9 @@
-// solve with separation, after a round: the largest potential of an unknown and the largest right-hand side, m/s.
+// solve with separation, after a round: the largest potential of an unknown, the least one in liquid with a free surface, and the largest
+// right-hand side, m/s.
 // One thread per quad of the band.
 // band_args, band_list: the band. flags: see active, without separated lanes. separated: see separation. potential, rhs: m/s.
 // separation_sums: see separation.
+#import active
 #import dispatch
 #import lanes
 #import real
@@ -23,6 +25,12 @@ fn note_largest(word: u32, values: vec4<f32>, lanes: u32) {
     }
 }
 
+// Bits in the order of the numbers.
+fn ordered(value: f32) -> u32 {
+    let bits = bitcast<u32>(value);
+    return select(bits | 0x80000000u, ~bits, (bits & 0x80000000u) != 0u);
+}
+
 @compute @workgroup_size(WG_SIZE)
 fn separation_scale(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
@@ -36,5 +44,15 @@ fn separation_scale(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_
         return;
     }
     note_largest(LARGEST_POTENTIAL, vec4<f32>(potential[quad]), unknowns);
+    let surface = all & ~(flags[quad] >> SURFACELESS);
+    if surface != 0u {
+        let p = select(vec4<f32>(), vec4<f32>(potential[quad]), bit_lanes(unknowns));
+        let of_surface = select(vec4<f32>(bitcast<f32>(0x7f7fffffu)), p, bit_lanes(surface));
+        let least = min(min(of_surface.x, of_surface.y), min(of_surface.z, of_surface.w));
+        let word = ~ordered(least);
+        if word > atomicLoad(&separation_sums[LEAST_POTENTIAL]) {
+            atomicMax(&separation_sums[LEAST_POTENTIAL], word);
+        }
+    }
     note_largest(LARGEST_RHS, vec4<f32>(rhs[quad]), all);
 }

@@ -31,12 +31,6 @@ const ROUNDING = 1e-6;
 @group(0) @binding(8) var<storage, read_write> separated: array<u32>;
 @group(0) @binding(9) var<storage, read_write> separation_sums: array<atomic<u32>>;
 
-// Bits in the order of the numbers.
-fn ordered(value: f32) -> u32 {
-    let bits = bitcast<u32>(value);
-    return select(bits | 0x80000000u, ~bits, (bits & 0x80000000u) != 0u);
-}
-
 @compute @workgroup_size(WG_SIZE)
 fn separation_update(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
@@ -67,9 +61,6 @@ fn separation_update(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
             if p[l] < least && (word >> LOCKED & bit) == 0u {
                 added |= bit;
             }
-        }
-        if (candidates & bit) != 0u {
-            atomicMax(&separation_sums[LEAST_POTENTIAL], ~ordered(select(p[l], 0.0, (now & bit) != 0u)));
         }
     }
     if now != 0u {

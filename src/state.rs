@@ -297,7 +297,7 @@ pub struct SeparationReport {
     pub returned: usize,
     /// Rounds of the active set, of all solves.
     pub rounds: u32,
-    /// Least pressure of the cells that may separate, Pa; 0 without any.
+    /// Least pressure in liquid with a free surface, Pa; 0 in the cells that opened, and without any.
     pub least_pressure: f64,
     /// Volume by which the separated cells opened, m^3.
     pub opened: f64,

@@ -8,7 +8,7 @@ const NEXT_LOCKED = 16u;
 const PRESENT = 0xfffu;
 
 // Words of separation_sums: cells that separate and that are let back after a round, and separated cells during it; bits of the
-// largest potential and right-hand side, m/s; one's complement of the ordered bits of the least potential of a candidate; rate at
+// largest potential and right-hand side, m/s; one's complement of the ordered bits of the least potential in liquid with a free surface; rate at
 // which the separated cells open over dx^2, m/s, as an f32 and its remainder.
 const ADDED = 0u;
 const RETURNED = 1u;

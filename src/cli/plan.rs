@@ -36,7 +36,6 @@ impl PlanCommand {
                 say_memory(memory(true)?)
             }
             Backend::Gpu(choice) => {
-                sim::check_kernels(&scene)?;
                 // A named adapter must exist; otherwise a plan needs none.
                 let adapter = match Gpu::find(&choice) {
                     Ok(adapter) => Some(adapter),

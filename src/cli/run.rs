@@ -230,6 +230,12 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
             tally.fast
         )
     });
+    warn_if(tally.tension > 0, &|| {
+        format!(
+            "in {} of {steps} sub-steps the pressure was more than an atmosphere below that of the air, where a real liquid boils; steps.csv lists them (least_pressure)",
+            tally.tension
+        )
+    });
     for (name, step) in &summary.failed_solids {
         warn_if(true, &|| {
             format!("solid \"{name}\" collapsed in sub-step {step}; later results are not the scene's physics")

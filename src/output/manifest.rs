@@ -372,6 +372,9 @@ pub struct Tally {
     /// Sub-steps with face speeds above 20 times those that gravity, inflow and moving bodies explain.
     #[serde(default)]
     pub fast: u64,
+    /// Sub-steps with a pressure more than an atmosphere below that of the air.
+    #[serde(default)]
+    pub tension: u64,
     /// Largest overlap of solids with each other and with obstacles, m. Without liquid: of solids with each other, in
     /// written frames.
     #[serde(default)]

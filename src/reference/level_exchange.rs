@@ -12,7 +12,7 @@
 
 use super::level_cells::{BAND, filled};
 use super::volume_shift::LARGEST;
-use crate::geometry::{Running, SourcesAndSinks};
+use crate::geometry::{Fill, Running, SourcesAndSinks};
 use crate::grid::{Axis, Grid, Sides};
 
 /// Largest relative difference between the target and the volume of a component in a domain with open sides. The flux through
@@ -92,6 +92,16 @@ pub fn fill_sources(
         }
     }
     first_fill
+}
+
+/// Liquid in the cells of running sources stays there: the component before the sub-step of such a cell is its own. Behind a source
+/// there may be liquid of another component. `label`: components before the sub-step; `origins`: see
+/// [`component_origins`](super::component_origins).
+pub fn hold_source_origins(grid: &Grid, taps: &SourcesAndSinks, sources: Running, label: &[u32], origins: &mut [u32]) {
+    let running = |fill: &Fill| fill.index.is_some() && sources.running >> fill.source & 1 == 1;
+    for fill in taps.fills(grid).into_iter().filter(running) {
+        origins[fill.cell] = label.get(fill.cell).copied().unwrap_or(0);
+    }
 }
 
 /// Subtracts volumes (m^3) from the targets (m^3) of the components in their cells.

@@ -82,8 +82,8 @@ pub use forces::forces;
 pub use landing::{face_mass, land, landing_faces, take_landing};
 pub use level_cells::{BAND, LevelCells, REACH, filled, filled_distance, interpolant_part};
 pub use level_exchange::{
-    CellVolume, add_sources, closed_to_markers, controlled_part, empty_level_sinks, fill_sources, limit_targets,
-    outflow, remove_volumes, renewed_volume, sunk_volumes,
+    CellVolume, add_sources, closed_to_markers, controlled_part, empty_level_sinks, fill_sources, hold_source_origins,
+    limit_targets, outflow, remove_volumes, renewed_volume, sunk_volumes,
 };
 pub use liquid_components::{
     Before, Components, balance, component_origins, label_at, liquid_components, shared_volumes,

@@ -149,8 +149,9 @@ impl Separation {
             self.report.rounds += 1;
             self.settled = added.is_empty() && returned.is_empty();
             if self.settled || round == MAX_ROUNDS {
-                let candidates = all.clone().filter(|&cell| self.candidates[cell]);
-                let pressures = candidates.map(|cell| solved.pressure[cell]);
+                let mut open = system.stencil.active_mask();
+                system.closed.iter().chain(&system.sealed).flatten().for_each(|&cell| open[cell] = false);
+                let pressures = all.clone().filter(|&cell| open[cell]).map(|cell| solved.pressure[cell]);
                 self.report.least_pressure = pressures.reduce(f64::min).unwrap_or_default();
                 let separated = all.filter(|&cell| self.cells[cell]);
                 self.rate = separated.map(|cell| opening[cell]).sum();

@@ -569,9 +569,6 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = table.optional("density", 1000.0, |place| density(&place, "water has 1000"))?;
-    let separation = table.optional("separation", Separation::None, |place| {
-        place.choice(&[("none", Separation::None), ("walls", Separation::Walls), ("from_air", Separation::FromAir)])
-    })?;
     // Keys that act on markers alone imply them.
     let of_markers = table.get("marker_radius").is_some() || root.get("surface").is_some();
     let default = if of_markers { Surface::Markers } else { Surface::Level };
@@ -585,13 +582,20 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         )?;
         Ok(surface)
     })?;
-    if let Some(place) = table.get("separation") {
+    let default = if surface == Surface::Level { Separation::FromAir } else { Separation::None };
+    let separation = table.optional("separation", default, |place| {
+        let separation = place.choice(&[
+            ("none", Separation::None),
+            ("walls", Separation::Walls),
+            ("from_air", Separation::FromAir),
+        ])?;
         place.ensure(
             separation == Separation::None || surface != Surface::Fixed,
             "lets liquid leave walls, which needs a surface that moves",
             "use surface = \"level\", or separation = \"none\"",
         )?;
-    }
+        Ok(separation)
+    })?;
     let marker_radius = table.optional("marker_radius", 0.87, |place| {
         let cure = "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
         place.number_within("the marker radius in cells", MARKER_RADII, cure)

@@ -15,14 +15,16 @@ use crate::grid::Grid;
 use crate::linalg::Row;
 use crate::reference::{MOST_COUPLED, MOST_MEETINGS};
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
-use crate::solver::{CoupledFields, CoupledSolver, Outcome, RowsOf, Weak, WeakBuffers};
+use crate::solver::{CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, Weak, WeakBuffers};
 use crate::stages;
 use crate::stages::{OpenFaces, PatchPressure, Seal};
-use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
+use crate::state::{ContactReport, CouplingReport, SeparationReport, SolveStatus, State};
 use crate::step::Stage;
 
+use super::gpu_contacts::GpuContacts;
 use super::gpu_liquid::{GpuLiquid, LiquidSolve};
 use super::gpu_solids::{GpuSolids, Search, SolidReadbacks};
+use super::separation::Rounds;
 
 /// Capacity for clipping and J.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -190,6 +192,62 @@ impl CouplingStages {
             patch_pressure,
         })
     }
+}
+
+/// Solves under the rows of solids that touch each other, with separation in rounds, each of which begins without rows. The recording
+/// starts the solve. `displacement` of all nodes, m.
+fn solve_in_rows(
+    (gpu, recorder): (&Gpu, Recorder),
+    together: &CoupledSolver,
+    (at, polynomial): (CoupledFields, Polynomial),
+    (contacts, solids, displacement): (&GpuContacts, &GpuSolids, &[[f64; 3]]),
+    rounds: Option<&mut Rounds>,
+) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
+    let dx = solids.buffers.plan.grid.dx;
+    let mut last = Vec::new();
+    let mut rows = |velocity: &[f64], known: &[Row]| {
+        velocity.clone_into(&mut last);
+        Ok(contacts.touching(&solids.solids, dx, displacement, |touching| touching.rows(velocity, known)))
+    };
+    let most = [MOST_MEETINGS, MOST_COUPLED];
+    let (form, recorder, mut times) = together.prepare(gpu, recorder, at, &polynomial)?;
+    let mut contact = ContactReport::default();
+    let mut iterations = 0;
+    let mut solve = |recorder, round: Option<(f64, bool)>| {
+        let (mut outcome, report, mut seconds) =
+            together.solve_in_rows(gpu, recorder, &form, round, (&mut rows, most))?;
+        times.append(&mut seconds);
+        contact = ContactReport { solves: contact.solves + report.solves, ..report };
+        iterations += outcome.iterations;
+        outcome.iterations = iterations;
+        Ok::<_, Error>(outcome)
+    };
+    let outcome = match rounds {
+        None => solve(recorder, None)?,
+        Some(rounds) => {
+            let (outcome, restoring) = rounds.search(recorder, |recorder, round, _| {
+                Ok((solve(recorder, Some((round.tolerance, round.number > 1)))?, false))
+            })?;
+            restoring.submit();
+            outcome
+        }
+    };
+    contacts.touching(&solids.solids, dx, displacement, |touching| touching.shorten(&last, &mut contact));
+    Ok((outcome, contact, times))
+}
+
+/// Result of a solve. `separation`: status and report of the rounds, for the liquid.
+fn settled(
+    liquid: &mut GpuLiquid,
+    (mut parts, separation): ([Outcome; 2], Option<(SolveStatus, SeparationReport)>),
+    (condensed, contact): (bool, ContactReport),
+) -> Solved {
+    if let Some((status, report)) = separation {
+        parts[0].status = status;
+        liquid.n_separated = report.cells;
+        liquid.separation = Some(report);
+    }
+    Solved { parts, condensed, contact }
 }
 
 /// Fields of the coupled solve.
@@ -448,23 +506,6 @@ impl GpuCoupling {
         (step, dt): (SolidStep, f64),
         (touch, displacement): (ContactState, &[[f64; 3]]),
     ) -> Result<(Solved, StageTimes), Error> {
-        if let Some(contacts) = &solids.contacts {
-            let at = coupled((&liquid.buffers, &liquid.solver), solids, &self.buffers);
-            let dx = solids.buffers.plan.grid.dx;
-            let mut last = Vec::new();
-            let mut rows = |velocity: &[f64], known: &[Row]| {
-                velocity.clone_into(&mut last);
-                Ok(contacts.touching(&solids.solids, dx, displacement, |touching| touching.rows(velocity, known)))
-            };
-            let (polynomial, recorder) = (solids.polynomial(dt), Recorder::timed(gpu));
-            let rows_of = (&mut rows as RowsOf, [MOST_MEETINGS, MOST_COUPLED]);
-            let solved = together.solve_in_rows(gpu, recorder, at, &polynomial, rows_of)?;
-            let (outcome, mut contact, times) = solved;
-            contacts.touching(&solids.solids, dx, displacement, |touching| touching.shorten(&last, &mut contact));
-            let solved =
-                Solved { parts: outcome.parts(touch.closed_components), condensed: outcome.condensed, contact };
-            return Ok((solved, times));
-        }
         let CouplingStages { closed_components, separated_flux, .. } = &self.stages;
         let with = (Some(closed_components), separated_flux.as_ref(), together.tolerance());
         let (LiquidSolve { buffers, solver, .. }, mut rounds) = liquid.rounds(gpu, dt, with);
@@ -472,6 +513,14 @@ impl GpuCoupling {
         let mut recorder = Recorder::timed(gpu);
         if let Some(rounds) = &rounds {
             rounds.record_start(&mut recorder);
+        }
+        if let Some(contacts) = &solids.contacts {
+            let touching = (contacts, solids, displacement);
+            let (outcome, contact, times) =
+                solve_in_rows((gpu, recorder), together, (at, solids.polynomial(dt)), touching, rounds.as_mut())?;
+            let parts = outcome.parts(touch.closed_components);
+            let separation = rounds.map(|rounds| (rounds.status(parts[0].status), rounds.report));
+            return Ok((settled(liquid, (parts, separation), (outcome.condensed, contact)), times));
         }
         let mut before = None;
         let mut times = StageTimes::new();
@@ -533,14 +582,8 @@ impl GpuCoupling {
                 parts[1].status = status;
             }
         }
-        if let Some(rounds) = rounds {
-            parts[0].status = rounds.status(parts[0].status);
-            let report = rounds.report;
-            liquid.n_separated = report.cells;
-            liquid.separation = Some(report);
-        }
-        let solved = Solved { parts, condensed: outcome.condensed, contact };
-        Ok((solved, times))
+        let separation = rounds.map(|rounds| (rounds.status(parts[0].status), rounds.report));
+        Ok((settled(liquid, (parts, separation), (outcome.condensed, contact)), times))
     }
 
     pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {

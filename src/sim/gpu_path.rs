@@ -45,22 +45,6 @@ pub struct GpuPath {
 /// Readbacks for the probes: liquid columns in order, and arrays of the nodes that the probes need.
 pub(super) type Probed = (Vec<f64>, NodeReadback);
 
-/// Checks that the device has kernels for the effects of a scene.
-///
-/// # Errors
-/// [`Error::Input`] for separation beside solids that touch each other.
-pub fn check_kernels(scene: &Scene) -> Result<(), Error> {
-    let effects = Effects::of(scene);
-    match effects.separation && effects.solid_contact {
-        false => Ok(()),
-        true => Err(Error::input(
-            scene.at("liquid.separation"),
-            "liquid that separates beside solids that touch each other needs the f64 path: the GPU has no kernels for it",
-            "use --backend cpu, separation = \"none\" or solid_contact = false",
-        )),
-    }
-}
-
 impl GpuPath {
     /// Opens the device, clips the obstacles, seeds the liquid, and uploads the state.
     ///
@@ -72,7 +56,6 @@ impl GpuPath {
 
     /// Opens the device for a scene with its solids.
     pub(super) fn with(scene: &Scene, solids: &Solids, choice: &AdapterChoice) -> Result<GpuPath, Error> {
-        check_kernels(scene)?;
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
         let memory = HostMemory::new(scene, solids, false)?;

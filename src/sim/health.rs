@@ -23,6 +23,8 @@ const UNFOLDING: f64 = 20.0;
 const VOLUME_RANGE: [f64; 2] = [0.8, 1.2];
 /// Face speed over [`expected_speed`] above which a notice is given. Jets and gaps reach a few times that speed.
 const FAST: f64 = 20.0;
+/// Pressure below that of the air around it at which a liquid boils: that of the atmosphere, Pa.
+const ATMOSPHERE: f64 = 101_325.0;
 /// Fraction of lost markers that causes a notice.
 const LOST: f64 = 0.01;
 
@@ -267,6 +269,15 @@ impl Health {
             notices.push(format!(
                 "at {time:.4} s the liquid's speed is {:.0} m/s, while gravity, inflow and moving bodies explain about {expected:.1} m/s (steps.csv, max_speed): bodies or a collapsing solid squeeze it. Keep bodies apart, use stiffer solids (young), or use more cells (--scale)",
                 liquid.diagnosis.max_speed
+            ));
+        }
+        if let Some(separation) = liquid.separation
+            && separation.least_pressure < -ATMOSPHERE
+            && first(&mut tally.tension)
+        {
+            notices.push(format!(
+                "at {time:.4} s the pressure is {:.0} Pa below that of the air (steps.csv, least_pressure); a real liquid boils at {ATMOSPHERE} Pa below it. Let it leave walls anywhere (liquid.separation = \"walls\"), or slow what pulls at it",
+                -separation.least_pressure
             ));
         }
         let before = tally.lost_share();

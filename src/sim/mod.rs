@@ -17,7 +17,7 @@ mod squeeze;
 mod step;
 mod warnings;
 
-pub use gpu_path::{GpuPath, check_kernels};
+pub use gpu_path::GpuPath;
 pub use memory::{HostMemory, free_memory};
 pub use plan::{Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};

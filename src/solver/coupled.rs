@@ -239,22 +239,30 @@ impl CoupledSolver {
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
         let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
-        let (outcome, mut stages) = self.solve_form(gpu, recorder, &form, again, None)?;
+        let (outcome, mut stages) = self.solve_form(gpu, recorder, &form, (again, None), None)?;
         times.append(&mut stages);
         Ok((outcome, times))
     }
 
+    /// `again`, `held`: see [`CorrectionForm::case`]. `aim`: of a round of separation, as in [`CoupledSolver::solve_then`].
     fn solve_form(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
         form: &CorrectionForm,
-        again: bool,
-        held: Option<&HeldSolve>,
+        (again, held): (bool, Option<&HeldSolve>),
+        aim: Option<Aim>,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
         let case = form.case(again, held);
         self.clear(gpu, case);
-        let (outcomes, times) = self.outer.solve(gpu, recorder, case)?;
+        let (outcomes, times) = match aim {
+            None => self.outer.solve(gpu, recorder, case)?,
+            Some(aim) => {
+                let masked = Case { sized: false, ..case };
+                let (outcomes, times, _) = self.outer.solve_then(gpu, recorder, masked, aim, &mut |_| {})?;
+                (outcomes, times)
+            }
+        };
         Ok((CoupledOutcome::new(&outcomes, form.condenses()), times))
     }
 
@@ -314,19 +322,21 @@ impl CoupledSolver {
         self.outer.tolerance()
     }
 
-    /// The same under the rows of solids that touch each other, which join at most `meetings` times more, with at most `most` solves each time
-    /// (twin: reference/contact_rows.rs).
-    pub fn solve_in_rows(
+    /// Solves in a prepared form under the rows of solids that touch each other, which join at most `meetings` times more, with at most `most`
+    /// solves each time (twin: reference/contact_rows.rs). `round`: tolerance and guess of a round of separation, as in [`CoupledSolver::solve_then`].
+    pub(crate) fn solve_in_rows(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
-        at: CoupledFields,
-        polynomial: &Polynomial,
+        form: &CorrectionForm,
+        round: Option<(f64, bool)>,
         (rows_of, [meetings, most]): (RowsOf, [u32; 2]),
     ) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
-        let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
-        let (mut outcome, mut stages) = self.solve_form(gpu, recorder, &form, false, None)?;
-        times.append(&mut stages);
+        let at = form.at;
+        let first = round.map(|(tolerance, guess)| Aim { tolerance, guess });
+        let again = first.is_some_and(|aim| aim.guess);
+        let (mut outcome, mut times) = self.solve_form(gpu, recorder, form, (again, None), first)?;
+        let later = first.map(|aim| Aim { guess: false, ..aim });
         let mut report = ContactReport { solves: 1, ..ContactReport::default() };
         let system = &self.outer.system;
         let (Some(nodes), Some((schur, Prepared::Schur(inverse)))) = (&system.nodes, &form.prepared) else {
@@ -360,7 +370,7 @@ impl CoupledSolver {
                 let held = HeldSolve::new(gpu, held, &start, &pushed, &at.solids.rhs);
                 schur.hold(gpu, inverse, &held);
                 let recorder = Recorder::timed(gpu);
-                let (next, mut stages) = self.solve_form(gpu, recorder, &form, true, Some(&held))?;
+                let (next, mut stages) = self.solve_form(gpu, recorder, form, (true, Some(&held)), later)?;
                 times.append(&mut stages);
                 outcome = CoupledOutcome { iterations: outcome.iterations + next.iterations, ..next };
                 report.solves += 1;
@@ -371,6 +381,11 @@ impl CoupledSolver {
                     break;
                 }
             }
+        }
+        if round.is_some() && report.solves > 1 {
+            // The next round begins without rows.
+            schur.release(gpu, inverse);
+            at.solids.rhs.upload(gpu, &rhs);
         }
         Ok((outcome, report, times))
     }

@@ -57,7 +57,7 @@ pub struct RoundSums {
     pub returned: u32,
     /// Separated cells during the round.
     pub separated: u32,
-    /// Least potential of a cell that may separate, m/s; 0 without any.
+    /// Least potential in liquid with a free surface, m/s; 0 without any.
     pub least_potential: f64,
     /// Sum of the rates at which the separated cells open, over dx^2, m/s.
     pub opening: f64,

@@ -1,4 +1,5 @@
-"""Prints what independent readers (fieldcompare, trimesh) find in a .vtp, .vti, .vtu, .pvd or .ply file, as JSON for tests/suite.
+"""Reads paths from its input. For each prints a line of JSON for tests/suite: what independent readers (fieldcompare, trimesh) find in a
+.vtp, .vti, .vtu, .pvd or .ply file.
 
 Numbers keep all their digits: an f32 is printed as the f64 of the same value.
 """
@@ -78,4 +79,5 @@ def describe(path):
     return found
 
 
-json.dump(describe(sys.argv[1]), sys.stdout)
+for line in sys.stdin:
+    print(json.dumps(describe(line.rstrip("\n"))), flush=True)

@@ -225,7 +225,14 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["markers"],
         ),
         (
-            &[POOL, "liquid.surface=markers", "liquid.volume_control=false", "solver.theta_floor=0.1"],
+            // Separation has another default with markers.
+            &[
+                POOL,
+                "liquid.surface=markers",
+                "liquid.volume_control=false",
+                "liquid.separation=none",
+                "solver.theta_floor=0.1",
+            ],
             &["liquid.surface=level"],
             &["level"],
         ),

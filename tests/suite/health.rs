@@ -146,6 +146,30 @@ fn liquid_of_the_wrong_volume_is_told_once() {
     assert_eq!(summary.tally.volume_off > 0, off);
 }
 
+/// Liquid of 1e5 kg/m^3 that hangs half a metre above a pool in an inverted cup is under more tension than real liquid bears. It boils, so
+/// to speak, with separation everywhere.
+#[test]
+fn tension_beyond_an_atmosphere_is_reported_once() {
+    let wall = |x: [f64; 2], y: [f64; 2]| {
+        format!("[[obstacle]]\nbox = {{ min = [{:?}, {:?}, -1], max = [{:?}, {:?}, 1] }}\n", x[0], y[0], x[1], y[1])
+    };
+    let cup =
+        wall([0.25, 0.375], [0.125, 0.875]) + &wall([0.625, 0.75], [0.125, 0.875]) + &wall([0.25, 0.75], [0.75, 0.875]);
+    for (separation, tension) in [("from_air", true), ("walls", false)] {
+        let text = format!(
+            "[domain]\nsize = [1, 1, 0.25]\ncells = [16, 16, 4]\n[time]\nduration = 1\nframes_per_second = 24\n[liquid]\ndensity = 1e5\n\
+             separation = \"{separation}\"\n[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, 0.25, 0.25] }}\n\
+             [[liquid.region]]\nbox = {{ min = [0.375, 0, 0], max = [0.625, 0.75, 0.25] }}\n{cup}"
+        );
+        let scene = Scene::parse(Path::new("cup.toml"), &text, &[], 1.0).unwrap();
+        let run = run(&scene, 2, false);
+        let summary = run.ended.as_ref().unwrap();
+        let notices = run.notices.iter().filter(|notice| notice.contains("boils"));
+        assert_eq!(notices.count(), usize::from(tension), "{separation}: {:?}", run.notices);
+        assert_eq!(summary.tally.tension > 0, tension, "{separation}");
+    }
+}
+
 #[test]
 fn a_sweep_counts_a_collapsed_solid_as_failed() {
     let folder = tempfile::tempdir().unwrap();

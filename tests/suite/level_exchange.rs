@@ -435,10 +435,17 @@ fn a_level_exchanges_as_in_the_twin() {
         recorder.submit();
         // The twin of the exchange has the device's transport.
         let before = run.cells(&gpu.download(&run.level.carried_level).unwrap());
+        let origins = || {
+            let origins = gpu.download(&run.level.component_origin).unwrap();
+            run.liquid.padded.unpad(grid.cells, &origins, |label| label)
+        };
+        let mut held = origins();
+        reference::hold_source_origins(grid, &run.taps, running, &case.state.component, &mut held);
         let mut recorder = Recorder::new(gpu);
         exchange.record(&mut recorder);
         recorder.submit();
         let after = run.cells(&gpu.download(&run.level.carried_level).unwrap());
+        assert!(origins() == held, "liquid in the cells of sources stays there");
         let in_band = case.in_band(gpu, &run.liquid);
         let mut twin = before.clone();
         let fills = reference::fill_sources(grid, &run.taps, running, &open_volumes, &mut twin);

@@ -4,8 +4,10 @@
 //! `CUTWATER_PYTHON` names the interpreter (default `python3`), `REQUIRE_READERS=1` makes a missing reader a failure;
 //! `pip install -r tests/readers/requirements.txt` installs it.
 
+use std::cell::RefCell;
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, ChildStdout, Command, Stdio};
 
 use cutwater::Error;
 use cutwater::elastic::Solids;
@@ -43,12 +45,39 @@ pub(crate) fn python_with(package: &str) -> Option<PathBuf> {
     None
 }
 
+/// The independent reader, a process that answers each path with a line.
+struct Reader(Child, BufReader<ChildStdout>);
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        // Its input ends, so it does.
+        self.0.stdin.take();
+        let _ = self.0.wait();
+    }
+}
+
+thread_local! {
+    /// Starting one takes longer than reading a file, so a test starts one.
+    static READER: RefCell<Option<Reader>> = const { RefCell::new(None) };
+}
+
 /// What the independent reader finds in a file.
 pub(crate) fn read(python: &Path, file: &Path) -> Value {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers/read_frames.py");
-    let output = Command::new(python).arg(script).arg(file).output().unwrap();
-    assert!(output.status.success(), "{} cannot be read: {}", file.display(), String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    let start = || {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers/read_frames.py");
+        let mut child =
+            Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let answers = BufReader::new(child.stdout.take().unwrap());
+        Reader(child, answers)
+    };
+    READER.with_borrow_mut(|reader| {
+        let Reader(child, answers) = reader.get_or_insert_with(start);
+        writeln!(child.stdin.as_mut().unwrap(), "{}", file.display()).unwrap();
+        let mut answer = String::new();
+        answers.read_line(&mut answer).unwrap();
+        assert!(!answer.is_empty(), "{} cannot be read", file.display());
+        serde_json::from_str(&answer).unwrap()
+    })
 }
 
 /// All numbers of a nested JSON list, in order, as f32.
@@ -554,7 +583,7 @@ pub(crate) struct Decoded {
 
 impl Decoded {
     pub(crate) fn read(path: &Path) -> Decoded {
-        let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+        let file = BufReader::new(std::fs::File::open(path).unwrap());
         let mut reader = png::Decoder::new(file).read_info().unwrap();
         let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut rgb).unwrap();
@@ -712,7 +741,7 @@ fn animation_shows_a_picture_until_the_next_frame() {
     let report = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap();
     assert_eq!(report.pictures.len(), 2);
     let file = std::fs::File::open(report.animation.unwrap()).unwrap();
-    let reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
+    let reader = png::Decoder::new(BufReader::new(file)).read_info().unwrap();
     let place = reader.info().frame_control().unwrap();
     assert_eq!((place.delay_num, place.delay_den), (1, 12), "two frames at 24 per second");
 }
@@ -743,7 +772,7 @@ fn animation_shows_the_pictures() {
     write_run(run.path(), &scene, &[]);
     let report = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap();
     let file = std::fs::File::open(report.animation.unwrap()).unwrap();
-    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
+    let mut reader = png::Decoder::new(BufReader::new(file)).read_info().unwrap();
     let control = *reader.info().animation_control().unwrap();
     assert_eq!((control.num_frames, control.num_plays), (3, 0));
     let mut canvas = vec![0; 3 * 320 * 180];

@@ -159,52 +159,80 @@ fn a_cylinder_that_enters_water_drags_a_cavity() {
 }
 
 /// In a box pulled down at 2 g gravity points upwards.
-fn pulled_down(kind: &str, level: f64) -> String {
-    let liquid = format!("surface = \"markers\"\nseparation = \"{kind}\"\n{}", filled([1.0, level]));
+fn pulled_down(surface: &str, kind: &str, level: f64) -> String {
+    let liquid = format!("surface = \"{surface}\"\nseparation = \"{kind}\"\n{}", filled([1.0, level]));
     domain([16, 16, 4], 1.0 / 16.0, GRAVITY, &liquid)
 }
 
 #[test]
 fn water_in_a_box_pulled_down_leaves_the_floor() {
-    let lowest = |kind: &str| {
-        let mut simulation = start(&pulled_down(kind, 0.5));
-        run_to(&mut simulation, 0.25);
-        let state = simulation.state().unwrap();
-        let heights = heights(&state);
-        (heights[heights.len() / 100], state.time)
-    };
-    let (height, t) = lowest("walls");
-    // A sub-step moves the markers before it accelerates them, which makes them late by half of it, at most of a frame.
-    let (flight, late) = (0.5 * GRAVITY * t * t, 0.5 * GRAVITY * t / 24.0);
-    let cell = 1.0 / 16.0;
-    assert!(
-        flight - late - cell < height && height < flight + cell,
-        "{height} m after {t} s, in free flight {flight} m"
-    );
-    // Air comes in along the sides.
-    let (height, _) = lowest("from_air");
-    assert!(height > 0.5 * flight, "from_air: {height} m above the floor");
-    let (height, _) = lowest("none");
-    assert!(height < cell, "none: {height} m above the floor");
+    for surface in ["level", "markers"] {
+        let lowest = |kind: &str| {
+            let mut simulation = start(&pulled_down(surface, kind, 0.5));
+            run_to(&mut simulation, 0.25);
+            let state = simulation.state().unwrap();
+            let heights = heights(&state);
+            (heights[heights.len() / 100], state.time)
+        };
+        let (height, t) = lowest("walls");
+        // A sub-step moves the surface before it accelerates it, which makes it late by half of it, at most of a frame.
+        let (flight, late) = (0.5 * GRAVITY * t * t, 0.5 * GRAVITY * t / 24.0);
+        let cell = 1.0 / 16.0;
+        assert!(
+            flight - late - cell < height && height < flight + cell,
+            "{surface}: {height} m after {t} s, in free flight {flight} m"
+        );
+        // Air comes in along the sides.
+        let (height, _) = lowest("from_air");
+        assert!(height > 0.5 * flight, "{surface}, from_air: {height} m above the floor");
+        let (height, _) = lowest("none");
+        assert!(height < cell, "{surface}, none: {height} m above the floor");
+    }
 }
 
 /// Water without a free surface cannot open: its pressure has no level, and its least one is 0.
 #[test]
 fn a_full_box_pulled_down_stays_full() {
-    let mut simulation = start(&pulled_down("walls", 1.0));
-    for _ in 0..3 {
-        let report = simulation.step().unwrap();
-        assert_eq!(separation(&report).cells, 0);
-        let state = simulation.state().unwrap();
-        let (least, most) =
-            (state.pressure.iter()).fold((f64::MAX, 0.0_f64), |(least, most), &p| (least.min(p), most.max(p)));
-        assert_eq!(least, 0.0);
-        // The weight of 15 cells between the centres of the lowest and the highest one.
-        let weight = 1000.0 * GRAVITY * 15.0 / 16.0;
-        assert!((most - weight).abs() < 1e-6 * weight, "{most} Pa");
-        let speed = report.liquid.unwrap().diagnosis.max_speed;
-        assert!(speed < 1e-6, "{speed} m/s");
+    for surface in ["level", "markers"] {
+        let mut simulation = start(&pulled_down(surface, "walls", 1.0));
+        for _ in 0..3 {
+            let report = simulation.step().unwrap();
+            assert_eq!(separation(&report).cells, 0);
+            let state = simulation.state().unwrap();
+            let (least, most) =
+                (state.pressure.iter()).fold((f64::MAX, 0.0_f64), |(least, most), &p| (least.min(p), most.max(p)));
+            assert_eq!(least, 0.0);
+            // The weight of 15 cells between the centres of the lowest and the highest one.
+            let weight = 1000.0 * GRAVITY * 15.0 / 16.0;
+            assert!((most - weight).abs() < 1e-6 * weight, "{surface}: {most} Pa");
+            let speed = report.liquid.unwrap().diagnosis.max_speed;
+            assert!(speed < 1e-6, "{surface}: {speed} m/s");
+        }
     }
+}
+
+/// A surface that leaves the floor, while it is within half a cell of it: the level in the lowest cells is the distance that the liquid has
+/// moved, less half a cell, although there is no cell below them.
+#[test]
+fn the_level_follows_liquid_that_leaves_the_floor() {
+    let scene = pulled_down("level", "walls", 0.5).replace("[time]", "[time]\nfixed_step = 0.005");
+    let mut simulation = start(&scene);
+    let (dx, dt) = (1.0 / 16.0, 0.005);
+    // The surface moves with the velocity of the sub-step before: 0, g dt, 2 g dt and so on.
+    let mut way = 0.0;
+    for step in 0..12_u32 {
+        way += f64::from(step) * GRAVITY * dt * dt;
+        simulation.step().unwrap();
+        let level = simulation.state().unwrap().liquid_distance;
+        if step < 2 || way > 0.4 * dx {
+            continue;
+        }
+        for (k, i) in (0..4).flat_map(|k| (0..16).map(move |i| (k, i))) {
+            let phi = level[i + 16 * 16 * k] / dx;
+            assert!((phi + 0.5 - way / dx).abs() < 0.05, "step {step}: {phi} cells, way {} cells", way / dx);
+        }
+    }
+    assert!(way > 0.4 * dx, "{way}");
 }
 
 /// A piston that makes a full tank larger opens exactly the room that it leaves.
@@ -391,7 +419,7 @@ fn pressures_beside_elastic_solids_are_complementary() {
 
 #[test]
 fn a_run_resumes_with_its_separated_cells() {
-    let mut whole = reference_path(&scene(&pulled_down("from_air", 0.5))).unwrap();
+    let mut whole = reference_path(&scene(&pulled_down("level", "from_air", 0.5))).unwrap();
     let mut resumed = whole.clone();
     for _ in 0..4 {
         whole.step(whole.next_time_step()).unwrap();
@@ -478,7 +506,7 @@ fn closed_faces_keep_velocities_away_from_walls_that_liquid_leaves() {
 
 #[test]
 fn steps_have_columns_of_separation() {
-    let mut simulation = start(&pulled_down("walls", 0.5));
+    let mut simulation = start(&pulled_down("level", "walls", 0.5));
     let report = simulation.step().unwrap();
     let run = tempfile::tempdir().unwrap();
     let mut table = StepTable::create(run.path()).unwrap();

@@ -9,9 +9,10 @@ use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
     advect_level, advect_level_markers, balance, bound_level, closed_to_markers, component_origins, emit_markers,
-    empty_level_sinks, excess, extend_level, fill_sources, filter_level, interpolant_part, land, limit_targets,
-    liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow, raise_separated, redistance, remove_volumes,
-    renewed_volume, separated_level, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
+    empty_level_sinks, excess, extend_level, fill_sources, filter_level, hold_source_origins, interpolant_part, land,
+    limit_targets, liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow,
+    raise_separated, redistance, remove_volumes, renewed_volume, separated_level, shared_volumes, spray, sunk_volumes,
+    take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -214,7 +215,8 @@ impl SubStep<'_> {
         let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
         let old =
             Before { label: &before.component, velocity: &before.velocity, ballistic: self.ballistic(&filled_before) };
-        let origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
+        let mut origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
+        hold_source_origins(grid, &model.taps, self.sources, &before.component, &mut origins);
         let volume_0 = &self.results.level.volume_before;
         let mut targets = shared_volumes(volume_0, &origins, &components, &volumes);
         let taps = &model.taps;
