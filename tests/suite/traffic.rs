@@ -1,4 +1,4 @@
-//! Waits, submissions, dispatches and bytes of the first sub-steps of six scenes, against a table of what they were: they may only fall.
+//! Waits, submissions, dispatches and bytes of the first sub-steps of seven scenes, against a table of what they were: they may only fall.
 
 use cutwater::gpu::{AdapterChoice, Traffic};
 use cutwater::scene::Scene;
@@ -24,7 +24,7 @@ fn traffic(name: &str, scale: f64, overrides: &[String]) -> Traffic {
 /// Rows of tests/data/traffic.csv: case, scene, scale, setting, whether the adapter has f64, then the counts. A smaller count is an
 /// improvement to write down; a larger one is a regression. `CUTWATER_TRAFFIC=FILE` writes the table of this adapter.
 #[test]
-fn counts_of_six_scenes_do_not_rise() {
+fn counts_of_the_scenes_do_not_rise() {
     let Some(gpu) = gpu() else { return };
     let text = std::fs::read_to_string(root().join("tests/data/traffic.csv")).unwrap();
     let mut lines = text.lines();
@@ -55,7 +55,7 @@ fn counts_of_six_scenes_do_not_rise() {
             }
         }
     }
-    assert_eq!(measured.len(), 1 + 6, "six scenes on every kind of adapter");
+    assert_eq!(measured.len(), 1 + 7, "seven scenes on every kind of adapter");
     if let Ok(file) = std::env::var("CUTWATER_TRAFFIC") {
         std::fs::write(file, measured.join("\n") + "\n").unwrap();
     }
