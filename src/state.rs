@@ -320,6 +320,13 @@ pub struct Exchange {
     pub volume_emitted: f64,
 }
 
+impl Exchange {
+    /// Volume that left, less that which entered, m^3.
+    pub fn outflow(self) -> f64 {
+        self.volume_left + self.volume_sunk - self.volume_emitted
+    }
+}
+
 /// Result of the active-set iteration for contacts of solids with walls and obstacles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ContactReport {
@@ -372,7 +379,7 @@ pub struct CouplingReport {
 }
 
 /// Diagnostics of the liquid at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Diagnosis {
     /// Liquid volume, m^3.
     pub volume: f64,

@@ -9,11 +9,14 @@
 
 use glam::DVec3;
 
+use super::level_cells::filled_distance;
 use super::pressure_system::Stencil;
 use super::right_hand_side::inflow;
+use super::spray::add_spray;
 use crate::geometry::{CutCells, open_volume};
 use crate::grid::{Axis, Grid};
-use crate::state::Diagnosis;
+use crate::scene::{Scene, Surface};
+use crate::state::{Diagnosis, State};
 
 /// Open volume of every cell, m^3.
 pub fn open_volumes(grid: &Grid, solid_distance: &[f64]) -> Vec<f64> {
@@ -47,6 +50,18 @@ pub fn divergence(open: &[Vec<f64>; 3], velocity: &[Vec<f64>; 3], stencil: &Sten
         inflow(grid, open, velocity, cell).0 - taken
     });
     left.map(f64::abs).fold(0.0, larger) / grid.cell_volume()
+}
+
+/// Diagnostics of the liquid of a state: of a level by the filled part of its interpolant, with the spray. `divergence` from
+/// [`divergence`]. `None` without liquid.
+pub fn diagnose_liquid(scene: &Scene, cut: &CutCells, state: &State, divergence: f64) -> Option<Diagnosis> {
+    let liquid = scene.liquid.as_ref()?;
+    let (grid, density, gravity) = (&scene.grid(), liquid.density, scene.domain.gravity);
+    let filled = (liquid.surface == Surface::Level).then(|| filled_distance(grid, &state.liquid_distance));
+    let distance = filled.as_ref().unwrap_or(&state.liquid_distance);
+    let mut sums = diagnose(grid, cut, distance, &state.velocity, divergence, density, gravity);
+    add_spray(grid, (density, gravity), state.flying(), &mut sums);
+    Some(sums)
 }
 
 /// Diagnostics of the liquid. `divergence` from [`divergence`]; `density` in kg/m^3, `gravity` in m/s^2, others as in

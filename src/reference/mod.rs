@@ -70,7 +70,7 @@ pub use bound_level::{bound_level, thin_liquid};
 pub use condition::{Condition, Conditions, conditions};
 pub use contact_rows::{MOST_COUPLED, MOST_MEETINGS, Touching, first_contact_step};
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
-pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_volumes};
+pub use diagnose::{diagnose, diagnose_liquid, divergence, larger, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;
 pub use excess::{add_excess, excess};
 pub use exchange::{

@@ -82,8 +82,7 @@ fn what_comes_less_what_goes_is_the_change_of_the_target() {
         let mut worst = 0.0_f64;
         let mut flow = 0.0;
         let sum = run(&mut simulation, 10, |liquid| {
-            let of = liquid.exchange.unwrap();
-            flow += of.volume_emitted - of.volume_sunk - of.volume_left;
+            flow -= liquid.exchange.unwrap().outflow();
             worst = worst.max((liquid.diagnosis.volume / (start + flow) - 1.0).abs());
         });
         let state = simulation.state().unwrap();

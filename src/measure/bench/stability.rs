@@ -1,11 +1,10 @@
 //! `bench stability`: hostile scenes in strong coupling, the variants of the thesis's section 6.3, and the added-mass limit of weak coupling in
 //! one dimension.
 //!
-//! The energy of a run, J, is kinetic, elastic and potential. The liquid's is that of its markers, which share its mass equally, so that spray
-//! does not inflate it. Potential energy counts from the lowest corner of the domain. Backward Euler and the projection only dissipate. The
-//! update of the markers adds g v dt / 2 per kg (`budget`).
+//! The energy of a run, J, is kinetic, elastic and potential, by the diagnostics of each sub-step. Potential energy counts from the lowest corner of
+//! the domain. Backward Euler and the projection only dissipate. The advection adds g v dt / 2 per kg (`budget`).
 //!
-//! A run fails if an energy or a speed exceeds its bound (`budget`), or if a tenth of the markers is lost. It fails if more than a hundredth of
+//! A run fails if an energy or a speed exceeds its bound (`budget`), or if a tenth of the liquid is lost. It fails if more than a hundredth of
 //! the sub-steps miss a tolerance or leave contacts unsettled. It also fails if a value is not finite or the simulation fails.
 
 mod budget;
@@ -26,10 +25,10 @@ use super::{Bench, Case as BenchCase, Listener, Machine, Results, Run, Settings}
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::Gpu;
-use crate::reference::diagnose_solid;
+use crate::reference::{diagnose_liquid, diagnose_solid};
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
-use crate::state::{SolidDiagnosis, SolveStatus, State, StepReport};
+use crate::state::{Exchange, SolidDiagnosis, SolveStatus, State, StepReport};
 
 use limit::LIMIT;
 
@@ -37,8 +36,10 @@ pub use budget::{Budget, MOST_ENERGY, Moment};
 pub use cases::{Case, Expected, cases};
 pub use limit::{Limit, limits};
 
-/// Share of the markers that a run may lose.
+/// Share of the liquid that a run may lose.
 const MOST_LOST: f64 = 0.1;
+/// Sub-steps after which missing liquid is lost: [`crate::reference::volume_shift`] can move a surface by a cell in so many.
+const LOST_STEPS: usize = 25;
 /// Energy ratio above which a run stops: verdict and order of magnitude are clear.
 const HOPELESS: f64 = 1e4;
 /// Share of the sub-steps that may miss a tolerance, and that may leave contacts unsettled.
@@ -120,7 +121,7 @@ columns! {
         volume_least - "" "least volume of the liquid over that of the start";
         volume_most - "" "largest";
         volume_drift - "" "volume at the end over that of the start, less 1";
-        lost - "" "markers lost over those of the start";
+        lost - "" "largest volume missing for 25 sub-steps over that of the start";
         min_det + "" "least det F";
         inverted - "" "elements with det F <= 0 at the end";
         missed + "" "sub-steps with a solve that did not converge";
@@ -279,6 +280,12 @@ pub fn growth(energies: &[f64]) -> Option<f64> {
     (0..energies.len()).filter_map(after).reduce(f64::max)
 }
 
+/// Largest share of the liquid that is missing for `LOST_STEPS` sub-steps. `missing`: share in each sub-step.
+pub fn lost(missing: &[f64]) -> f64 {
+    let least = |shares: &[f64]| shares.iter().copied().fold(f64::INFINITY, f64::min);
+    missing.windows(LOST_STEPS).map(least).fold(0.0, f64::max)
+}
+
 /// Diagnosis of a state of the solids.
 pub fn solid_diagnosis(solids: &Solids, state: &State, gravity: DVec3) -> SolidDiagnosis {
     let (displacement, velocity) = (&state.displacement, &state.node_velocity);
@@ -421,8 +428,10 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
     let start = simulation.state()?;
     let gravity = scene.domain.gravity;
     let diagnosis = solid_diagnosis(simulation.solids(), &start, gravity);
-    let budget = Budget::new(scene, simulation.solids(), &start, &diagnosis);
-    let (mut longest, mut energies) = (0.0, Vec::new());
+    let liquid = diagnose_liquid(scene, simulation.cut_cells(), &start, 0.0).unwrap_or_default();
+    let budget = Budget::new(scene, simulation.solids(), &liquid, &diagnosis);
+    let (mut longest, mut outflow) = (0.0, 0.0);
+    let (mut energies, mut missing) = (Vec::new(), Vec::new());
     row.set("cells", scene.grid().n_cells());
     row.set("nodes", simulation.solids().rest.len());
     for at in 0..row.count("steps") {
@@ -435,7 +444,12 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
             raise(row, "volume_most", volume);
             row.set("volume_drift", volume - 1.0);
         }
-        record_counts(row, scene, &report, &state, start.markers.len());
+        if let Some(liquid) = report.liquid {
+            outflow += liquid.exchange.map_or(0.0, Exchange::outflow);
+            missing.push(budget.missing(&liquid.diagnosis, outflow));
+            check_lost(row, lost(&missing));
+        }
+        record_counts(row, scene, &report);
         let bad = non_finite(&state, &report);
         row.set("non_finite", bad);
         if bad > 0 {
@@ -451,8 +465,8 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         let Some(solid) = report.solid else { continue };
         lower(row, "min_det", solid.diagnosis.min_det);
         row.set("inverted", solid.diagnosis.inverted);
-        let liquid_speed = report.liquid.map_or(0.0, |it| it.diagnosis.max_speed);
-        let moment = budget.moment(&state, &solid.diagnosis, liquid_speed);
+        let liquid = report.liquid.map(|liquid| liquid.diagnosis);
+        let moment = budget.moment(&liquid.unwrap_or_default(), &solid.diagnosis);
         check(row, &moment, &budget, longest);
         energies.push(moment.solids() / budget.energy);
         if row.has("deflection") {
@@ -465,14 +479,17 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
     Ok(())
 }
 
-/// Records lost markers, missed tolerances, unsettled contacts, overlaps and iterations of a sub-step.
-fn record_counts(row: &mut Row, scene: &Scene, report: &StepReport, state: &State, markers: usize) {
-    let lost = state.markers_dropped as f64 / markers.max(1) as f64;
+/// Checks the share of the liquid that is lost.
+fn check_lost(row: &mut Row, lost: f64) {
     row.set("lost", lost);
     if lost > MOST_LOST {
         let percent = 100.0 * MOST_LOST;
-        fail_step(row, format!("more than {percent} % of the markers lost"));
+        fail_step(row, format!("more than {percent} % of the liquid lost"));
     }
+}
+
+/// Records missed tolerances, unsettled contacts, overlaps and iterations of a sub-step.
+fn record_counts(row: &mut Row, scene: &Scene, report: &StepReport) {
     let mut solves = report.solves();
     let missed = solves.any(|solve| solve.status != SolveStatus::Converged);
     let contacts = report.solid.map(|solid| solid.contact.unsettled);

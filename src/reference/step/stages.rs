@@ -5,14 +5,13 @@ use glam::DVec3;
 use super::SubStep;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::reference::path::Model;
 use crate::reference::{
     Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource, active_cells,
-    add_spray, advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies, ballistic_cells,
-    carry_faces, diagnose, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate_one_sided,
-    filled_distance, forces, hold_faces, hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers,
-    node_forces, open_volumes, patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers,
-    solid_matrices, solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
+    advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies, ballistic_cells, carry_faces,
+    diagnose_liquid, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate_one_sided, forces,
+    hold_faces, hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes,
+    patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -338,24 +337,11 @@ impl SubStep<'_> {
     }
 
     fn liquid_report(&self) -> Option<LiquidReport> {
-        let Model { scene, grid, .. } = self.model;
         let (results, after) = (&self.results, &self.after);
-        let (density, gravity) = (self.liquid()?.density, scene.domain.gravity);
-        let filled = self.model.effects.level.then(|| filled_distance(grid, &after.liquid_distance));
-        let mut diagnosis = diagnose(
-            grid,
-            self.boundary.cut_cells(),
-            filled.as_ref().unwrap_or(&after.liquid_distance),
-            &after.velocity,
-            results.divergence,
-            density,
-            gravity,
-        );
-        add_spray(grid, (density, gravity), after.flying(), &mut diagnosis);
         Some(LiquidReport {
             solve: results.solves[0]?,
             closed_components: results.pressure.as_ref()?.closed.len(),
-            diagnosis,
+            diagnosis: diagnose_liquid(&self.model.scene, self.boundary.cut_cells(), after, results.divergence)?,
             markers: after.markers.len(),
             dropped: results.removed_markers.dropped,
             exchange: (self.model.effects.exchange()).then_some(results.exchange),

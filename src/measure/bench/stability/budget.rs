@@ -1,23 +1,21 @@
 //! Bounds of energies and speeds of a run in which only gravity does work: no case has an inflow or a scripted part.
 //!
-//! - Total energy: that of the start and the gain of the marker update. Most of it is in the liquid at rest, so a light solid may gain many times its
+//! - Total energy: that of the start and the gain of the advection. Most of it is in the liquid at rest, so a light solid may gain many times its
 //!   own energy within this bound.
 //! - Energy of motion and strain: kinetic and elastic energy of the start, and the potential energy that gravity can release. The least potential
-//!   energy has all solids on the floor, and the markers, eight to a cell, below them without obstruction. A step of half a cell in the surface adds to
-//!   the release: markers do not resolve it. A pool at rest can release next to nothing.
+//!   energy has all solids on the floor, and all liquid below them without obstruction. A step of half a cell in the surface adds to the release: the
+//!   grid does not resolve it. A pool at rest can release next to nothing.
 //! - Speeds: v + g dt with v^2 = v_0^2 + 2 g H + 2 W / m. v_0 is the largest speed at the start, H the height of the domain, W / m the strain energy
 //!   of the start per mass of the solids. Factors: [`SOLID_FACTOR`], [`LIQUID_FACTOR`].
 //!
-//! Gain of the marker update: markers fall with the velocities of the last sub-step. They gain g v dt / 2 per kg, g dt / 2 times their momentum. The
-//! momentum of a mass m with the kinetic energy K is at most sqrt(2 K m).
+//! Gain of the advection: liquid falls with the velocities of the last sub-step. It gains g v dt / 2 per kg, g dt / 2 times its momentum. The momentum
+//! of a mass m with the kinetic energy K is at most sqrt(2 K m).
 
 use glam::DVec3;
 
 use crate::elastic::Solids;
-use crate::grid::Grid;
-use crate::reference::max_speed;
 use crate::scene::Scene;
-use crate::state::{SolidDiagnosis, State};
+use crate::state::{Diagnosis, SolidDiagnosis};
 
 /// Largest energy over that of the start: a tenth for the errors of the sums.
 pub const MOST_ENERGY: f64 = 1.1;
@@ -27,9 +25,6 @@ const SOLID_FACTOR: f64 = 3.0;
 /// A body that descends on a film of length L and thickness h squeezes it out at L / (2 h) times its speed: eight times for a block of four cells a
 /// quarter of a cell above the floor. The pressure of a thinner film, which grows with the square, stops the body.
 const LIQUID_FACTOR: f64 = 10.0;
-
-/// Markers of a full cell.
-const MARKERS: f64 = 8.0;
 
 /// Energies and speeds of a state.
 #[derive(Clone, Copy, Debug)]
@@ -68,10 +63,11 @@ impl Moment {
 /// Energies and speeds at the start of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
-    grid: Grid,
     gravity: DVec3,
-    /// Mass of a marker, kg.
-    marker: f64,
+    /// Density of the liquid, kg/m^3.
+    density: f64,
+    /// Volume of the liquid at the start, m^3.
+    volume: f64,
     /// Mass of the solids, kg.
     solids: f64,
     /// Mass of liquid and solids, kg.
@@ -89,60 +85,67 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// Budget of a scene, its solids, and their state at the start.
-    pub fn new(scene: &Scene, solids: &Solids, state: &State, diagnosis: &SolidDiagnosis) -> Self {
+    /// Budget of a scene, its solids, and the diagnoses of the start.
+    pub fn new(scene: &Scene, solids: &Solids, liquid: &Diagnosis, solid: &SolidDiagnosis) -> Self {
         let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
         let (gravity, size) = (scene.domain.gravity, scene.domain.size);
-        let liquid = density * state.volume_0;
+        let liquid_mass = density * liquid.volume;
         let solid_mass = solids.mass.iter().sum::<f64>();
         let mut budget = Budget {
-            grid: scene.grid(),
             gravity,
-            marker: liquid / state.markers.len().max(1) as f64,
+            density,
+            volume: liquid.volume,
             solids: solid_mass,
-            mass: liquid + solid_mass,
+            mass: liquid_mass + solid_mass,
             lowest: -(gravity * size).max(DVec3::ZERO).element_sum(),
             height: gravity.normalize_or_zero().abs().dot(size),
             energy: 0.0,
             available: 0.0,
             fall: 0.0,
         };
-        let start = budget.moment(state, diagnosis, max_speed(&state.velocity));
-        // Full cells along the walls that gravity pulls to: their centre is at half of the filled height.
-        let cells = state.markers.len() as f64 / MARKERS;
-        let filled = cells / budget.grid.n_cells() as f64;
-        let least = 0.5 * liquid * filled * (gravity * size).abs().element_sum();
+        let start = budget.moment(liquid, solid);
+        // The centre of liquid along the walls that gravity pulls to is at half of the filled height.
+        let filled = liquid.volume / size.element_product();
+        let least = 0.5 * liquid_mass * filled * (gravity * size).abs().element_sum();
         let released = (start.potential - least).max(0.0);
-        let (g, half) = (gravity.length(), 0.5 * budget.grid.dx);
+        let (g, half) = (gravity.length(), 0.5 * scene.grid().dx);
         let area = size.element_product() / budget.height.max(half);
-        let all = liquid * g * half;
-        let level = all.min(0.5 * density * g * area * half.powi(2));
+        let all = liquid_mass * g * half;
+        let step = all.min(0.5 * density * g * area * half.powi(2));
         let fastest = start.liquid_speed.max(start.solid_speed);
         let strain = match solid_mass > 0.0 {
             true => start.elastic / solid_mass,
             false => 0.0,
         };
         budget.energy = start.energy();
-        budget.available = start.motion() + released + level;
+        budget.available = start.motion() + released + step;
         budget.fall = (fastest.powi(2) + 2.0 * g * budget.height + 2.0 * strain).sqrt();
         budget
     }
 
-    /// Energies and speeds of a state; `liquid_speed`: largest face velocity, m/s.
-    pub fn moment(&self, state: &State, solids: &SolidDiagnosis, liquid_speed: f64) -> Moment {
-        let (mut kinetic, mut potential) = (0.0, 0.0);
-        for &x in &state.markers {
-            let x = DVec3::from(x);
-            kinetic += 0.5 * self.grid.velocity_at(&state.velocity, x).length_squared();
-            potential -= self.gravity.dot(x) + self.lowest;
-        }
+    /// Energies and speeds of liquid and solids. Liquid of a larger volume than at the start has the mass of the start: spheres around flying
+    /// markers cover more than their share.
+    pub fn moment(&self, liquid: &Diagnosis, solids: &SolidDiagnosis) -> Moment {
+        let share = match liquid.volume > self.volume {
+            true => self.volume / liquid.volume,
+            false => 1.0,
+        };
+        let potential = liquid.potential_energy - self.density * liquid.volume * self.lowest;
         Moment {
-            liquid_kinetic: self.marker * kinetic,
+            liquid_kinetic: share * liquid.kinetic_energy,
             solid_kinetic: solids.kinetic_energy,
             elastic: solids.elastic_energy,
-            potential: self.marker * potential + solids.potential_energy - self.solids * self.lowest,
+            potential: share * potential + solids.potential_energy - self.solids * self.lowest,
             solid_speed: solids.max_speed,
-            liquid_speed,
+            liquid_speed: liquid.max_speed,
+        }
+    }
+
+    /// Share of the liquid of the start that is missing. `outflow`: volume that left less that which entered, m^3.
+    pub fn missing(&self, liquid: &Diagnosis, outflow: f64) -> f64 {
+        match self.volume > 0.0 {
+            true => 1.0 - (liquid.volume + outflow) / self.volume,
+            false => 0.0,
         }
     }
 
