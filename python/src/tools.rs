@@ -42,15 +42,12 @@ pub(crate) fn plan(py: Python<'_>, scene: &Scene, backend: &str, adapter: Option
         let memory = HostMemory::new(&scene, &sim::solids_of(&scene)?, on_cpu)?;
         let adapter = match &backend {
             Backend::Cpu => None,
-            Backend::Gpu(choice) => {
-                sim::check_kernels(&scene)?;
-                match Gpu::find(choice) {
-                    Ok(adapter) => Some(adapter),
-                    // A named adapter must exist; otherwise a plan needs none.
-                    Err(_) if *choice == Default::default() => None,
-                    Err(error) => return Err(error),
-                }
-            }
+            Backend::Gpu(choice) => match Gpu::find(choice) {
+                Ok(adapter) => Some(adapter),
+                // A named adapter must exist; otherwise a plan needs none.
+                Err(_) if *choice == Default::default() => None,
+                Err(error) => return Err(error),
+            },
         };
         let plan = Plan::new(&scene, adapter.as_ref())?;
         if let Some(adapter) = &adapter {

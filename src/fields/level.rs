@@ -48,8 +48,6 @@ arrays! {
             uniform level_step: LevelStep [LevelStep { capacity: plan.n_markers as u32, ..LevelStep::default() }] as "level.step",
             /// phi*: the level after its transport. During `advect_level` the departure points (`common/departure_words.wgsl`).
             pub array carried_level: f32 [padded.len()],
-            /// Bounds of the level where liquid leaves walls, from `advect_level` to `redistance`.
-            pub array separation_bounds: f32 [padded.len()] if plan.effects.separation,
             /// The level after the last stage that changed it.
             pub array new_level: f32 [padded.len()],
             /// Scratch: the level during a stage, the first-order transport in `advect_level`.
@@ -111,6 +109,8 @@ arrays! {
             overlaps = density_now while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
             // Parts of the old targets, at the new labels, and zero after the stage.
             shares = density_next while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
+            // With separation: bounds of the level where liquid leaves walls, cells; the first half.
+            separation_bounds = density_next while AdvectLevel..=Redistance, free MarkerBand..=Redistance,
             // Areas of the surfaces, at the labels.
             areas = density_next while VolumeShift..=VolumeShift, free LiquidComponents..=VolumeShift,
             // Sums of the weights of markers that land, per face.
@@ -177,6 +177,17 @@ impl LevelBuffers {
         let used = used as u32;
         let [x, y, z] = groups(used.div_ceil(WG_SIZE));
         gpu.upload(&self.marker_args, &[x, y, z, used]);
+    }
+
+    /// Waits for all submitted work and reads the bounds of the level where liquid leaves walls, from `advect_level` to `redistance`: cells in
+    /// the device layout. `None` without separation.
+    pub fn read_separation_bounds(&self, gpu: &Gpu) -> Result<Option<Vec<f32>>, Error> {
+        if !self.plan.effects.separation {
+            return Ok(None);
+        }
+        let mut bounds = gpu.download(&self.density_next)?.into_flattened();
+        bounds.truncate(self.padded.len());
+        Ok(Some(bounds))
     }
 
     /// Waits for all submitted work and reads velocities and spray of the live markers into a state. `alive`: see

@@ -416,10 +416,10 @@ impl GpuLiquid {
     }
 
     /// Deletes dead markers from the buffer when sources or the seeds of a level need their slots, and with a level when most
-    /// are dead. The others keep their order, so the time of deletion does not affect results.
-    fn make_room(&mut self, gpu: &Gpu, step: u64) -> Result<(), Error> {
+    /// are dead. The others keep their order, so the time of deletion does not affect results. Returns whether it did.
+    pub(super) fn make_room(&mut self, gpu: &Gpu, step: u64) -> Result<bool, Error> {
         let Some(markers) = &self.buffers.markers else {
-            return Ok(());
+            return Ok(false);
         };
         let slots = Slots { capacity: markers.len(), used: self.n_markers, alive: self.alive };
         let of_sources = self.sources.as_ref().map_or(0, Sources::slots);
@@ -438,7 +438,7 @@ impl GpuLiquid {
             None => slots.lack(of_sources),
         };
         if !wanted {
-            return Ok(());
+            return Ok(false);
         }
         let alive = self.buffers.compact(gpu, self.n_markers)?;
         if let Some(level) = &self.level {
@@ -447,7 +447,7 @@ impl GpuLiquid {
         self.n_markers = alive.into_iter().filter(|alive| *alive).count();
         gpu.upload(&self.buffers.report, &vec![0; self.buffers.report.len()]);
         self.dropped_before = self.passed.dropped;
-        Ok(())
+        Ok(true)
     }
 
     /// Slots that kernels process in a sub-step: used ones and those reserved for new markers of sources. The seeds of a level

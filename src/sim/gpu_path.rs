@@ -395,6 +395,15 @@ impl GpuPath {
         coupling.or(obstacles)
     }
 
+    /// Deletes dead markers where the next sub-step would, which moves the others to other slots. Returns whether it did.
+    ///
+    /// # Errors
+    /// [`Error::Stage`] where sources have no markers left.
+    pub fn make_room(&mut self) -> Result<bool, Error> {
+        let step = self.clock().step;
+        self.liquid.as_mut().map_or(Ok(false), |liquid| liquid.make_room(&self.gpu, step))
+    }
+
     /// Time, sub-step and frame.
     pub fn clock(&self) -> Clock {
         Clock::of(&self.head)

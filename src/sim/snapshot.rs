@@ -129,7 +129,7 @@ impl LiquidSnapshot {
 pub struct LevelSnapshot {
     /// Level after its transport, cells.
     pub carried: Vec<f64>,
-    /// Bounds of the level where liquid leaves walls, cells, minus infinity elsewhere; empty without separation.
+    /// Bounds of the level where liquid leaves walls, cells, minus infinity elsewhere: from `advect_level` to `redistance`. Empty without separation.
     pub separation_bounds: Vec<f64>,
     /// Level after the last stage that changed it, cells.
     pub level: Vec<f64>,
@@ -394,15 +394,15 @@ impl LevelSnapshot {
             Ok::<_, Error>(grid.padded().unpad(grid.cells, &values, f64::from))
         };
         // NO_BOUND in `shaders/common/level_values.wgsl`.
-        let or_none = |bound| if bound <= f64::from(-1e30_f32) { f64::NEG_INFINITY } else { bound };
+        let or_none = |bound: f32| if bound <= -1e30 { f64::NEG_INFINITY } else { bound.into() };
         let mut state = State::default();
         level.read_components(gpu, &mut state)?;
         let velocity = gpu.download(&level.marker_velocity)?;
         let velocity = &velocity[..n_slots];
         Ok(LevelSnapshot {
             carried: cells(&level.carried_level)?,
-            separation_bounds: match &level.separation_bounds {
-                Some(bounds) => cells(bounds)?.into_iter().map(or_none).collect(),
+            separation_bounds: match level.read_separation_bounds(gpu)? {
+                Some(bounds) => grid.padded().unpad(grid.cells, &bounds, or_none),
                 None => Vec::new(),
             },
             level: cells(&level.new_level)?,

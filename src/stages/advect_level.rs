@@ -29,7 +29,7 @@ pub fn advect_level(
         over_band(wgsl!("component_origins"), &[("labels", (&level.component).into()), departures])?,
         over_band(wgsl!("correct_level"), &[distances])?,
     ];
-    if level.separation_bounds.is_some() {
+    if liquid.plan.effects.separation {
         list.push(over_band(wgsl!("separated_level"), &[distances])?);
     }
     Ok(Dispatches::new(Stage::AdvectLevel.name(), list))

@@ -23,7 +23,7 @@ pub fn bound_level(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> R
         over_band(wgsl!("bound_thin"), &[])?,
         over_band(wgsl!("bound_level"), &[])?,
     ];
-    if level.separation_bounds.is_some() {
+    if liquid.plan.effects.separation {
         list.push(over_band(wgsl!("raise_separated"), &[])?);
     }
     Ok(Dispatches::new(Stage::BoundLevel.name(), list))

@@ -20,7 +20,7 @@ pub fn redistance(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Re
     };
     let mut list = extend_level(gpu, liquid, level)?;
     list.push(over_band(wgsl!("start_redistance"), &[])?);
-    let separates = level.separation_bounds.is_some();
+    let separates = liquid.plan.effects.separation;
     if separates {
         list.push(over_band(wgsl!("start_separated"), &[])?);
     }

@@ -148,7 +148,8 @@ pub(crate) fn cases() -> Vec<CoupledCase> {
         let n = solids.rest.len();
         let mut component = || single(random.uniform(-1.5, 1.5));
         CoupledCase {
-            liquid: Case::around(name, (grid, Effects::of(&scene), cut), 2.0, filled),
+            // No cell is separated.
+            liquid: Case::around(name, (grid, Effects { separation: false, ..Effects::of(&scene) }, cut), 2.0, filled),
             solids: solids.clone(),
             clip,
             velocity: (0..n).map(|_| Axis::ALL.map(|_| component())).collect(),

@@ -65,8 +65,7 @@ thread_local! {
 pub(crate) fn read(python: &Path, file: &Path) -> Value {
     let start = || {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers/read_frames.py");
-        let mut child =
-            Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut child = Command::new(python).arg(script).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let answers = BufReader::new(child.stdout.take().unwrap());
         Reader(child, answers)
     };

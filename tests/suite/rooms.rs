@@ -7,6 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use cutwater::effects::Effects;
+use cutwater::scene::Scene;
 use cutwater::step::{Runner, SCHEDULE, Stage};
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
@@ -270,6 +272,36 @@ fn the_root_has_no_logic() {
             }
         });
     }
+}
+
+/// Largest number of files besides `effects.rs` and the schedule that query one effect, and that of the effects that choose between
+/// whole families of stages.
+const FILES_OF_AN_EFFECT: usize = 6;
+const FILES_OF_A_FAMILY: usize = 12;
+
+/// An effect moves in at few places: its name is queried in few files. All else derives from the tables of effects, stages and arrays.
+#[test]
+fn an_effect_is_queried_in_few_files() {
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [4, 4, 4]\n[time]\nduration = 1\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.5, 1] }\n";
+    let scene = Scene::parse(Path::new("pool.toml"), text, &[], 1.0).unwrap();
+    let names: Vec<&str> = Effects::of(&scene).explained(&scene).into_iter().map(|effect| effect.name).collect();
+    let mut found: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    for file in File::all().into_iter().filter(|file| !["src/effects.rs", "src/step.rs"].contains(&&*file.name)) {
+        file.walk(&mut |tokens, index, _| {
+            let owner = index.checked_sub(2).and_then(|owner| ident(tokens.get(owner)));
+            if is_punct(index.checked_sub(1).and_then(|dot| tokens.get(dot)), '.')
+                && owner.is_some_and(|owner| owner == "effects")
+                && let Some(name) = names.iter().find(|name| is_ident(&tokens[index], name))
+            {
+                found.entry(name).or_default().insert(file.name.clone());
+            }
+        });
+    }
+    for (name, files) in &found {
+        let most = if ["liquid", "markers", "level"].contains(name) { FILES_OF_A_FAMILY } else { FILES_OF_AN_EFFECT };
+        assert!(files.len() <= most, "{name} is queried in {} files, {most} may: {files:?}", files.len());
+    }
+    assert!(found["separation"].len() > 1, "{found:?}");
 }
 
 #[test]

@@ -55,7 +55,7 @@ fn counts_of_the_scenes_do_not_rise() {
             }
         }
     }
-    assert_eq!(measured.len(), 1 + 7, "seven scenes on every kind of adapter");
+    assert_eq!(measured.len(), 1 + 8, "eight scenes on every kind of adapter");
     if let Ok(file) = std::env::var("CUTWATER_TRAFFIC") {
         std::fs::write(file, measured.join("\n") + "\n").unwrap();
     }

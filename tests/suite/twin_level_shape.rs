@@ -200,17 +200,28 @@ impl Run<'_> {
     /// Writes bounds of the level where liquid leaves walls: in a fifth of the cells, up to a cell above or below the level; infinite ones
     /// for the twin elsewhere. Empty without separation.
     fn put_bounds(&self, level: &[f64]) -> Vec<f64> {
-        let Some(bounds) = &self.level.separation_bounds else {
+        if !self.case.effects.separation {
             return Vec::new();
-        };
+        }
         let mut random = Random(11);
         let values = level.iter().map(|phi| {
             let bound = phi + random.uniform(-1.0, 1.0);
             if random.uniform(0.0, 1.0) < 0.2 { bound } else { NO_BOUND }
         });
         let values: Vec<f64> = values.collect();
-        let written = self.put(bounds, &values, NO_BOUND, 0.3);
-        written.into_iter().map(|bound| if bound > 0.9 * NO_BOUND { bound } else { f64::NEG_INFINITY }).collect()
+        let grid = &self.case.grid;
+        let mut device = vec![[0.3_f32; 2]; self.level.density_next.len()];
+        let words = device.as_flattened_mut();
+        for cell in (0..values.len()).filter(|&cell| self.in_band[cell]) {
+            words[self.liquid.padded.index(grid.cell_at(cell))] = values[cell] as f32;
+        }
+        self.gpu.upload(&self.level.density_next, &device);
+        let seen = values.iter().zip(&self.in_band);
+        seen.map(|(&value, &inside)| {
+            let bounds = inside && value > 0.9 * NO_BOUND;
+            if bounds { single(value) } else { f64::NEG_INFINITY }
+        })
+        .collect()
     }
 }
 
@@ -429,8 +440,14 @@ fn ball_above_pool() -> Case {
     for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
         values.iter_mut().for_each(|value| *value = single(*value));
     }
-    let effects =
-        Effects { level: true, maccormack: true, volume_shift: true, volume_control: false, ..Effects::of(&scene) };
+    let effects = Effects {
+        level: true,
+        maccormack: true,
+        volume_shift: true,
+        volume_control: false,
+        separation: false,
+        ..Effects::of(&scene)
+    };
     let surface = |x: DVec3, above: f64| {
         let ball = x.distance(DVec3::new(8.1, 15.4, 11.2)) - 2.3;
         (x.y - 8.3).min(ball) - above

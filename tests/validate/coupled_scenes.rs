@@ -89,7 +89,7 @@ struct Moment {
     report: StepReport,
     /// Volume of the liquid over that at the start.
     volume: f64,
-    /// Of everything, J: the liquid's by its markers, which spray does not inflate.
+    /// Of everything, J. Liquid above the volume of the start counts with the mass of the start, since markers may cover more.
     energy: f64,
 }
 
@@ -155,16 +155,12 @@ impl Film {
         let liquid = report.liquid.expect("the scene has liquid").diagnosis;
         let solid = report.solid.expect("the scene has solids").diagnosis;
         let volume = simulation.volume_ratio(&report).expect("it has liquid");
-        let density = self.scene.liquid.as_ref().expect("it has liquid").density;
-        let mass = density * state.volume_0 / self.markers as f64;
-        let sum: DVec3 = state.markers.iter().map(|&x| DVec3::from(x)).sum();
-        let potential = -mass * self.scene.domain.gravity.dot(sum);
-        let kinetic = liquid.kinetic_energy / volume.max(1.0);
+        let energy = (liquid.potential_energy + liquid.kinetic_energy) / volume.max(1.0);
         Moment {
             time: state.time,
             probes: simulation.probes().expect("numbers"),
             volume,
-            energy: potential + kinetic + solid.kinetic_energy + solid.elastic_energy + solid.potential_energy,
+            energy: energy + solid.kinetic_energy + solid.elastic_energy + solid.potential_energy,
             report,
         }
     }

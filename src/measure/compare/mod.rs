@@ -109,7 +109,9 @@ pub fn compare(
     let mut path = GpuPath::open(scene, adapter)?;
     let mut twins = Twins::new(scene, &path)?;
     while path.clock().frame < frames {
-        twins.begin(&path, path.next_time_step());
+        // In the sub-step markers keep their slots.
+        let moved = path.make_room()?;
+        twins.begin(&path, path.next_time_step(), moved)?;
         path.step_observed(&mut |stage, path| match stage {
             // The f64 path labels enclosed components with the active cells.
             Stage::ActiveCells => Ok(()),
@@ -158,17 +160,18 @@ impl<'a> Twins<'a> {
         })
     }
 
-    /// Begins a sub-step.
-    fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
+    /// Begins a sub-step. `moved`: markers have other slots than after the last one.
+    fn begin(&mut self, path: &GpuPath, time_step: TimeStep, moved: bool) -> Result<(), Error> {
         let dt = time_step.dt;
         (self.dt_last, self.dt, self.end) = (self.dt, dt, path.clock().time + dt);
         self.gravity = path.gravity(time_step);
         if let Some(twin) = &mut self.liquid {
-            twin.begin(path, time_step);
+            twin.begin(path, time_step, moved)?;
         }
         if let Some(twin) = &mut self.solids {
             twin.begin(path, dt, self.gravity);
         }
+        Ok(())
     }
 
     /// Compares the fields after a stage.

@@ -123,8 +123,11 @@ impl<'a> LiquidComparison<'a> {
         Some([(stored, stored_rhs), (assembled, assembled_rhs)])
     }
 
-    /// Begins a sub-step.
-    pub(super) fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
+    /// Begins a sub-step. `moved`: markers have other slots than after the last one.
+    pub(super) fn begin(&mut self, path: &GpuPath, time_step: TimeStep, moved: bool) -> Result<(), Error> {
+        if let Some(before) = moved.then(|| path.snapshot()).transpose()?.and_then(|device| device.liquid) {
+            self.before = before;
+        }
         self.table.step = path.clock().step;
         self.motion = f64::from(time_step.motion as f32);
         if let Some(step) = path.step_numbers(time_step) {
@@ -139,6 +142,7 @@ impl<'a> LiquidComparison<'a> {
                 self.renewed = reference::renewed_volume(inflow / dt, time_step.control_time);
             }
         }
+        Ok(())
     }
 
     /// Compares the fields after a stage. `device`: the unchanged fields, input of the next stage; `clip`: twin of the clipping.
