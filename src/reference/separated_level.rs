@@ -13,6 +13,8 @@
 //!
 //! `bound_level` raises the level to this bound, and `redistance` counts the cell as one at the interface. Cells with their centre in a body
 //! have the extended level of the cell beside them, which is bounded in their place.
+//!
+//! The volume of such a cell counts as full until its surface is within a quarter of a cell of its centre.
 
 use glam::DVec3;
 use rayon::prelude::*;
