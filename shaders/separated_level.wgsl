@@ -63,7 +63,7 @@ fn body_normal(at: vec3<i32>) -> vec3<f32> {
 // The bound by a wall at a distance s with the normal n into the liquid. phi: level, motion: way of the liquid in the sub-step, both in cells.
 fn from_wall(at: vec3<i32>, phi: f32, motion: vec3<f32>, n: vec3<f32>, s: f32) -> f32 {
     let inner = step.inv_dx * sample_distance(vec3<f32>(at) + 0.5 + n).x;
-    let gap = max(phi + s, 0.0) * clamp(phi - inner, 0.0, 1.0);
+    let gap = max(phi + s, 0.0) * clamp(2.0 * (phi - inner), 0.0, 1.0);
     return gap - s + dot(n, motion);
 }
 

@@ -5,11 +5,12 @@
 //! in cells),
 //!
 //! ```text
-//! g = max(phi + s, 0) clamp(phi(x) - phi(x + n dx), 0, 1)
+//! g = max(phi + s, 0) clamp(2 (phi(x) - phi(x + n dx)), 0, 1)
 //! bound = g - s + n . u dt / dx
 //! ```
 //!
-//! The last factor is 1 where the surface already left the wall, and 0 in a film, whose nearest surface is its other one.
+//! The last factor is 1 where the surface already left the wall, also where the slope of the level is not quite 1, and 0 in a film, whose
+//! nearest surface is its other one.
 //!
 //! `bound_level` raises the level to this bound, and `redistance` counts the cell as one at the interface. Cells with their centre in a body
 //! have the extended level of the cell beside them, which is bounded in their place.
@@ -50,7 +51,7 @@ pub fn separated_level(
         let motion = dt / grid.dx * grid.cell_velocity(faces, cell);
         let from_wall = |n: DVec3, s: f64| {
             let inner = grid.sample_cells(level, x + grid.dx * n);
-            let gap = (level[cell] + s).max(0.0) * (level[cell] - inner).clamp(0.0, 1.0);
+            let gap = (level[cell] + s).max(0.0) * (2.0 * (level[cell] - inner)).clamp(0.0, 1.0);
             gap - s + n.dot(motion)
         };
         let mut bound = f64::NEG_INFINITY;

@@ -126,11 +126,11 @@ fn liquid_leaves_walls_as_in_the_twin() {
         let cells = LevelCells { grid: &grid, cut: &case.cut };
         let twin = reference::separated_level(cells, &case.state.velocity, &case.state.separated, &before, dt);
         // The motion is a mean of two velocities times two factors, 6 roundings. Normals are differences of distances, off by two roundings
-        // of up to 3 cells over at least a tenth of a cell. The level is sampled along them: a slope of up to 10 cells per cell. The gap of up to 6 cells has a
-        // product and 20 roundings of a sample of up to 5 cells.
+        // of up to 3 cells over at least a tenth of a cell. The level is sampled along them: a slope of up to 10 cells per cell, and 20
+        // roundings of up to 5 cells. Twice that and a product make the gap of up to 6 cells.
         let motion = case.speed() * dt / grid.dx;
         let normal = 60.0 * EPS;
-        let bound = (12.0 * EPS + normal) * motion + 6.0 * (100.0 * EPS + 10.0 * normal);
+        let bound = (12.0 * EPS + normal) * motion + 12.0 * (100.0 * EPS + 10.0 * normal);
         let mut places = Vec::new();
         for cell in 0..grid.n_cells() {
             let ijk = grid.cell_at(cell);
