@@ -28,6 +28,8 @@
 const BODY_REACH = 1.25;
 // Distance of a centre from a wall of the domain, cells.
 const AT_WALL = 0.5;
+// Gap over the way of the liquid up to which it moves along the wall.
+const ALONG_WALL = 0.02;
 
 fn separated_lanes(quad: u32) -> u32 {
     return separated[quad] & 15u;
@@ -64,7 +66,8 @@ fn body_normal(at: vec3<i32>) -> vec3<f32> {
 fn from_wall(at: vec3<i32>, phi: f32, motion: vec3<f32>, n: vec3<f32>, s: f32) -> f32 {
     let inner = step.inv_dx * sample_distance(vec3<f32>(at) + 0.5 + n).x;
     let gap = max(phi + s, 0.0) * clamp(2.0 * (phi - inner), 0.0, 1.0);
-    return gap - s + dot(n, motion);
+    let opened = gap + dot(n, motion);
+    return select(NO_BOUND, opened - s, opened > ALONG_WALL * length(motion));
 }
 
 // The bound at a cell. sides: separated cells beside it, a bit of four per side.

@@ -9,7 +9,10 @@
 //! bound = g - s + n . u dt / dx
 //! ```
 //!
-//! The last factor is 1 where the surface already left the wall, also where the slope of the level is not quite 1, and 0 in a film, whose
+//! Liquid that falls along a wall is separated without leaving it: the bound is set where the gap exceeds a fiftieth of the way that the
+//! liquid moves.
+//!
+//! The last factor in g is 1 where the surface already left the wall, also where the slope of the level is not quite 1, and 0 in a film, whose
 //! nearest surface is its other one.
 //!
 //! `bound_level` raises the level to this bound, and `redistance` counts the cell as one at the interface. Cells with their centre in a body
@@ -27,6 +30,8 @@ use crate::grid::Axis;
 const BODY_REACH: f64 = 1.25;
 /// Distance of a centre from a wall of the domain, cells.
 const AT_WALL: f64 = 0.5;
+/// Gap over the way of the liquid up to which it moves along the wall.
+const ALONG_WALL: f64 = 0.02;
 
 /// Bounds of the level (cells) from below after dt (s) in the velocity of the faces (m/s); minus infinity where no liquid leaves a wall.
 /// `separated`: the cells of the last sub-step; empty for none.
@@ -52,7 +57,8 @@ pub fn separated_level(
         let from_wall = |n: DVec3, s: f64| {
             let inner = grid.sample_cells(level, x + grid.dx * n);
             let gap = (level[cell] + s).max(0.0) * (2.0 * (level[cell] - inner)).clamp(0.0, 1.0);
-            gap - s + n.dot(motion)
+            let opened = gap + n.dot(motion);
+            if opened > ALONG_WALL * motion.length() { opened - s } else { f64::NEG_INFINITY }
         };
         let mut bound = f64::NEG_INFINITY;
         let mut leaves_body = separated[cell];

@@ -218,8 +218,8 @@ fn a_full_box_pulled_down_stays_full() {
 }
 
 /// A surface that leaves the floor, while it is within a few tenths of a cell of it: the level in the lowest cells is the distance that the liquid has
-/// moved, less half a cell, although there is no cell below them. Without volume control, which counts these cells as full until then. Cells at the
-/// sides are left out: the water that falls along a side is separated from it too, with no gap.
+/// moved, less half a cell, although there is no cell below them, and also at the sides, along which the water falls. Without volume control, which counts
+/// these cells as full until then.
 #[test]
 fn the_level_follows_liquid_that_leaves_the_floor() {
     let scene = pulled_down("level", "walls", 0.5).replace("[liquid]", "[liquid]\nvolume_control = false");
@@ -228,19 +228,19 @@ fn the_level_follows_liquid_that_leaves_the_floor() {
     let (dx, dt) = (1.0 / 16.0, 1.0 / 192.0);
     // The surface moves with the velocity of the sub-step before: 0, g dt, 2 g dt and so on.
     let mut way = 0.0;
-    for step in 0..8_u32 {
+    for step in 0..14_u32 {
         way += f64::from(step) * GRAVITY * dt * dt;
         simulation.step().unwrap();
         let level = simulation.state().unwrap().liquid_distance;
         if step < 2 {
             continue;
         }
-        for (k, i) in (1..3).flat_map(|k| (1..15).map(move |i| (k, i))) {
+        for (k, i) in (0..4).flat_map(|k| (0..16).map(move |i| (k, i))) {
             let phi = level[i + 16 * 16 * k] / dx;
             assert!((phi + 0.5 - way / dx).abs() < 0.05, "step {step}: {phi} cells, way {} cells", way / dx);
         }
     }
-    assert!(way > 0.1 * dx, "{way}");
+    assert!(way > 0.35 * dx, "{way}");
 }
 
 /// A piston that makes a full tank larger opens exactly the room that it leaves.
