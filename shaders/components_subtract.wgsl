@@ -1,10 +1,11 @@
-// Stage closed_components: takes the mean over each closed component out of a field.
-// settings: which word of the state. list: active quads. labels, state: see components. field: in and out.
+// Stage closed_components: takes the mean over each closed component, or its least value, out of a field.
+// settings: which word of the state; 1 for the least value, see components_least. list: active quads. labels, state: see components. field: in and out.
 // high, middle, low: words of the sum over a component, at its root. count: its cells, likewise.
 #import dispatch
 #import level
 #import components
 #import fixed_point
+#import ordered
 
 @group(0) @binding(0) var<uniform> settings: vec4<u32>;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -32,6 +33,10 @@ fn components_subtract(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(loc
     for (var l = 0u; l < 4u; l++) {
         let root = label[l];
         if (root & OPEN) == 0u {
+            if settings.y != 0u {
+                value[l] -= Real(from_ordered(~high[root]));
+                continue;
+            }
             let mean = from96(vec3<u32>(high[root], middle[root], low[root]), bits) / Real(count[root]);
             let rest = value[l] - mean;
             // What is left of a value equal to the mean is rounding.

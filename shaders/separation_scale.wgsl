@@ -6,6 +6,7 @@
 #import active
 #import dispatch
 #import lanes
+#import ordered
 #import real
 #import separation
 
@@ -23,12 +24,6 @@ fn note_largest(word: u32, values: vec4<f32>, lanes: u32) {
     if largest > atomicLoad(&separation_sums[word]) {
         atomicMax(&separation_sums[word], largest);
     }
-}
-
-// Bits in the order of the numbers.
-fn ordered(value: f32) -> u32 {
-    let bits = bitcast<u32>(value);
-    return select(bits | 0x80000000u, ~bits, (bits & 0x80000000u) != 0u);
 }
 
 @compute @workgroup_size(WG_SIZE)

@@ -90,6 +90,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/obstacles_moving"),
     crate::wgsl!("common/obstacles_still"),
     crate::wgsl!("common/opening"),
+    crate::wgsl!("common/ordered"),
     crate::wgsl!("common/pair_f32"),
     crate::wgsl!("common/pair_f64"),
     crate::wgsl!("common/pcg_slots"),

@@ -207,23 +207,24 @@ impl PressureSystem {
         cell_flux
     }
 
-    /// Removes from `closed` the components that touch a wall or body and whose room grows by more than the share `least` of the
-    /// prescribed flux, and returns their cells. Their right-hand side is E u* again, without a mean removed.
-    pub fn take_growing(&mut self, touching: &[bool], by_solids: Option<&[f64]>, least: f64) -> Vec<Vec<usize>> {
+    /// Removes from `closed` the components whose room grows by more than the share `least` of the prescribed flux, and returns their cells
+    /// that touch a wall or body which recedes; there is one at least. Their right-hand side is E u* again, without a mean removed.
+    pub fn take_growing(&mut self, touching: &[bool], by_solids: Option<&[f64]>, least: f64) -> Vec<usize> {
         if self.closed.is_empty() {
             return Vec::new();
         }
         let [flux, taken] = [by_solids, None].map(|solids| self.prescribed_flux(solids));
+        let recedes = |&cell: &usize| touching[cell] && flux[cell] > 0.0;
         let (growing, closed) = std::mem::take(&mut self.closed).into_iter().partition(|component: &Vec<usize>| {
             let [net, gross] = sums(component, &flux);
-            net > least * gross && component.iter().any(|&cell| touching[cell])
+            net > least * gross && component.iter().any(recedes)
         });
         self.closed = closed;
         for component in &growing {
             let mean = sums(component, &taken)[0] / component.len() as f64;
             component.iter().for_each(|&cell| self.rhs[cell] -= mean);
         }
-        growing
+        growing.into_iter().flatten().filter(recedes).collect()
     }
 
     /// The system with p = 0 at the centres of some cells, which are no unknowns.

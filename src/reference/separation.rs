@@ -52,8 +52,6 @@ pub struct Candidates<'a> {
     pub from_air: Option<&'a [Vec<f64>; 3]>,
     /// Cells that separated in the last sub-step; empty for none.
     pub before: &'a [bool],
-    /// Pressure of the last sub-step, Pa.
-    pub pressure: &'a [f64],
 }
 
 /// Solution of a round.
@@ -66,14 +64,17 @@ pub(super) struct Round<S> {
 }
 
 impl Separation {
-    /// The first active set: what separated before. `growing`: enclosed components from [`PressureSystem::take_growing`].
-    pub fn new(system: &PressureSystem, with: Candidates, growing: &[Vec<usize>]) -> Separation {
+    /// The first active set: what separated before, and the cells of [`PressureSystem::take_growing`].
+    pub fn new(system: &PressureSystem, with: Candidates, receding: &[usize]) -> Separation {
         let stencil = &system.stencil;
         let mut may = vec![true; with.touching.len()];
         let enclosed = system.closed.iter().chain(&system.sealed);
         enclosed.flatten().for_each(|&cell| may[cell] = false);
-        let separated = |cell: usize| with.before.get(cell) == Some(&true);
-        let mut candidates: Vec<bool> = (0..may.len())
+        let mut before = with.before.to_vec();
+        before.resize(may.len(), false);
+        receding.iter().for_each(|&cell| before[cell] = true);
+        let separated = |cell: usize| before[cell];
+        let candidates: Vec<bool> = (0..may.len())
             .map(|cell| {
                 let air = |open| beside_air(stencil, open, separated, cell);
                 let touches = with.touching[cell] && stencil.active(cell);
@@ -84,18 +85,7 @@ impl Separation {
             let joins = |cell: usize| may[cell] && with.touching[cell] && stencil.active(cell);
             ((0..may.len()).map(joins).collect(), open.clone())
         });
-        for &cell in growing.iter().flatten() {
-            candidates[cell] = with.touching[cell];
-        }
-        let mut cells: Vec<bool> = (0..may.len()).map(|cell| candidates[cell] && separated(cell)).collect();
-        for component in growing {
-            if component.iter().any(|&cell| cells[cell]) {
-                continue;
-            }
-            let own = component.iter().copied().filter(|&cell| candidates[cell]);
-            let least = own.min_by(|&a, &b| with.pressure[a].total_cmp(&with.pressure[b]));
-            least.into_iter().for_each(|cell| cells[cell] = true);
-        }
+        let cells = (0..may.len()).map(|cell| candidates[cell] && before[cell]).collect();
         Separation { candidates, beyond, cells, settled: true, rate: 0.0, report: SeparationReport::default() }
     }
 

@@ -621,7 +621,7 @@ impl LiquidStages {
                 }
             },
             active_cells,
-            closed_components: Components::new(gpu, solver)?,
+            closed_components: Components::new(gpu, solver, mode != scene::Separation::None)?,
             solve,
             probe: has_probes(scene).then(probe).transpose()?,
         })

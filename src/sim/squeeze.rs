@@ -1,5 +1,6 @@
 //! Incompatible boundary flux: prescribed motion that would change the volume of an enclosed liquid component. The
-//! f64 twin is [`PressureSystem::squeezed`](crate::reference::PressureSystem::squeezed).
+//! f64 twins are [`PressureSystem::squeezed`](crate::reference::PressureSystem::squeezed) and, where liquid may separate,
+//! [`PressureSystem::take_growing`](crate::reference::PressureSystem::take_growing).
 
 use std::collections::BTreeMap;
 
@@ -10,10 +11,15 @@ use crate::effects::Effects;
 use crate::geometry::{CellNode, SolidClip};
 use crate::gpu::{Gpu, Readback, Recorder};
 use crate::grid::Grid;
+use crate::reference::SQUEEZE;
 use crate::scene::{CouplingScheme, Scene};
 
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::GpuSolids;
+
+/// Bits of the flags of a quad: lanes in closed components, and those with a face that is not all open (`shaders/common/active.wgsl`).
+const CLOSED: usize = 4;
+const HELD: usize = 12;
 
 /// Readbacks of the check. Allocated at the start for prescribed nodes, otherwise on first use, because most liquid
 /// has a free surface.
@@ -64,16 +70,24 @@ impl SqueezeReadbacks {
     }
 }
 
-/// Largest relative volume change that prescribed flux requires of an enclosed component. `prescribed`: flux of
-/// obstacles and sources, m^3/s. `solids` adds J v of their nodes, which are all prescribed beside such a component.
-/// Waits for all submitted work.
+/// Enclosed components whose volume prescribed motion would change.
+#[derive(Debug, Default)]
+pub(super) struct Squeeze {
+    /// Largest change relative to the prescribed flux, of those that stay full.
+    pub share: f64,
+    /// Cells (scalar indices of the padded grid) whose walls recede; none where no component opens.
+    pub growing: Vec<u32>,
+}
+
+/// Prescribed motion at enclosed components. `prescribed`: flux of obstacles and sources, m^3/s. `solids` adds J v of their nodes, which
+/// are all prescribed beside such a component. Waits for all submitted work.
 pub(super) fn squeezed(
     gpu: &Gpu,
     readbacks: &mut Option<SqueezeReadbacks>,
     liquid: &GpuLiquid,
     solids: Option<(&GpuSolids, &SolidClip)>,
     prescribed: impl IntoIterator<Item = (usize, f64)>,
-) -> Result<f64, Error> {
+) -> Result<Squeeze, Error> {
     let mut cell_flux = BTreeMap::<usize, f64>::new();
     for (cell, flux) in prescribed {
         *cell_flux.entry(cell).or_default() += flux;
@@ -81,7 +95,7 @@ pub(super) fn squeezed(
     let has_nodes = |readbacks: &SqueezeReadbacks| readbacks.velocity.is_some();
     let solids = solids.filter(|_| readbacks.as_ref().is_some_and(has_nodes));
     if solids.is_none() && cell_flux.is_empty() {
-        return Ok(0.0);
+        return Ok(Squeeze::default());
     }
     let grid = &liquid.buffers.plan.grid;
     let readbacks = match readbacks {
@@ -106,16 +120,33 @@ pub(super) fn squeezed(
     }
     let (flags, labels) = (readbacks.flags.wait(gpu)?, readbacks.labels.wait(gpu)?);
     let padded = grid.padded();
-    let mut sums = BTreeMap::<u32, [f64; 2]>::new();
+    let mut components = BTreeMap::<u32, Component>::new();
     for (cell, flux) in cell_flux {
         let index = padded.index(grid.cell_at(cell));
-        // Bits 4 to 7: see `shaders/common/active.wgsl`.
-        if flags[index / 4] >> (4 + index % 4) & 1 == 1 {
-            let [net, gross] = sums.entry(labels[index]).or_default();
-            *net += flux;
-            *gross += flux.abs();
+        let flag = |first: usize| flags[index / 4] >> (first + index % 4) & 1 == 1;
+        if flag(CLOSED) {
+            let component = components.entry(labels[index]).or_default();
+            component.net += flux;
+            component.gross += flux.abs();
+            component.receding.extend((flux > 0.0 && flag(HELD)).then_some(index as u32));
         }
     }
-    let shares = sums.values().filter(|[_, gross]| *gross > 0.0);
-    Ok(shares.fold(0.0, |most, [net, gross]| f64::max(most, net.abs() / gross)))
+    let opens = liquid.stages.separation.is_some();
+    let mut squeeze = Squeeze::default();
+    for component in components.into_values() {
+        if opens && component.net > SQUEEZE * component.gross && !component.receding.is_empty() {
+            squeeze.growing.extend(component.receding);
+        } else if component.gross > 0.0 {
+            squeeze.share = squeeze.share.max(component.net.abs() / component.gross);
+        }
+    }
+    Ok(squeeze)
+}
+
+/// An enclosed component: sum of its prescribed flux and of the absolute values, m^3/s, and the cells whose walls recede.
+#[derive(Default)]
+struct Component {
+    net: f64,
+    gross: f64,
+    receding: Vec<u32>,
 }

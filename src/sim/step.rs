@@ -15,7 +15,7 @@ use super::gpu_coupling::{ClipTime, CouplingReadbacks};
 use super::gpu_liquid::{GpuLiquid, LiquidSolve};
 use super::gpu_path::GpuPath;
 use super::gpu_solids::SolidReadbacks;
-use super::squeeze::{SqueezeReadbacks, can_squeeze, squeezed};
+use super::squeeze::{Squeeze, SqueezeReadbacks, can_squeeze, squeezed};
 
 /// Stage callback: called after each stage, once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(Stage, &GpuPath) -> Result<(), Error>;
@@ -151,8 +151,25 @@ impl Backend for SubStep<'_, '_> {
 impl SubStep<'_, '_> {
     /// Stages that only record dispatches.
     fn record(&mut self, stage: Stage) -> Result<(), Error> {
+        self.record_liquid(stage);
         let to = recording(&mut self.recorder, &self.path.gpu);
-        let (coupling, solids) = (self.path.coupling.as_ref(), self.path.solids.as_ref());
+        if let Some(solids) = &self.path.solids {
+            match stage {
+                Stage::Forces => solids.stages.forces.record(to),
+                Stage::SolidMatrices => to.stage(stage.name(), |pass| {
+                    solids.stages.rotations.record_in(pass);
+                    solids.stages.system.record_matrices(pass);
+                }),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// The liquid's part of a stage that only records dispatches.
+    fn record_liquid(&mut self, stage: Stage) {
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        let coupling = self.path.coupling.as_ref();
         let liquid = self.path.liquid.as_ref();
         if let Some(GpuLiquid { buffers, solver, stages, .. }) = liquid {
             stages.record(stage, to);
@@ -172,17 +189,6 @@ impl SubStep<'_, '_> {
                 _ => {}
             }
         }
-        if let Some(solids) = solids {
-            match stage {
-                Stage::Forces => solids.stages.forces.record(to),
-                Stage::SolidMatrices => to.stage(stage.name(), |pass| {
-                    solids.stages.rotations.record_in(pass);
-                    solids.stages.system.record_matrices(pass);
-                }),
-                _ => {}
-            }
-        }
-        Ok(())
     }
 
     /// With liquid it also reads back the displacements for the clipping.
@@ -242,7 +248,7 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    fn right_hand_side(&mut self) -> Result<(), Error> {
+    fn liquid_right_hand_side(&mut self) {
         let to = recording(&mut self.recorder, &self.path.gpu);
         let coupling = self.path.coupling.as_ref();
         if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
@@ -254,6 +260,12 @@ impl SubStep<'_, '_> {
                 stages.closed_components.remove_means(pass);
             });
         }
+    }
+
+    fn right_hand_side(&mut self) -> Result<(), Error> {
+        self.liquid_right_hand_side();
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        let coupling = self.path.coupling.as_ref();
         if let Some(solids) = &self.path.solids {
             let system = &solids.stages.system;
             to.stage(Stage::RightHandSide.name(), |pass| {
@@ -267,18 +279,22 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    /// One solve for liquid and solids if they touch, else one for each.
+    /// One solve for liquid and solids if they touch, else one for each. It is repeated where the room of enclosed liquid grows, which then
+    /// may separate.
     fn solve(&mut self) -> Result<(), Error> {
-        self.solve_together()?;
-        if !self.readback.together {
-            self.solve_pressure()?;
+        self.solve_liquid()?;
+        let squeeze = self.squeeze()?;
+        if !squeeze.growing.is_empty() {
+            self.open(&squeeze)?;
+            self.solve_liquid()?;
         }
-        self.check_squeeze()?;
+        self.flag_squeeze(squeeze.share);
         let to = recording(&mut self.recorder, &self.path.gpu);
-        if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
+        if let Some(GpuLiquid { stages, .. }) = &mut self.path.liquid {
             to.stage(Stage::ClosedComponents.name(), |pass| {
-                stages.closed_components.centre_potential(pass);
+                stages.closed_components.shift_potential(pass);
             });
+            stages.closed_components.clear_growing();
             if let Some(coupling) = &self.path.coupling {
                 coupling.record_push(to);
             }
@@ -286,6 +302,28 @@ impl SubStep<'_, '_> {
         if !self.readback.together {
             self.solve_velocity()?;
         }
+        Ok(())
+    }
+
+    fn solve_liquid(&mut self) -> Result<(), Error> {
+        self.solve_together()?;
+        if !self.readback.together {
+            self.solve_pressure()?;
+        }
+        Ok(())
+    }
+
+    /// Assembles the pressure system once more, with components that are no longer enclosed.
+    fn open(&mut self, squeeze: &Squeeze) -> Result<(), Error> {
+        let GpuPath { gpu, liquid, .. } = &mut *self.path;
+        if let Some(liquid) = liquid {
+            let GpuLiquid { buffers, solver, stages, .. } = liquid;
+            stages.closed_components.set_growing(gpu, buffers, solver, &squeeze.growing)?;
+        }
+        for stage in [Stage::ActiveCells, Stage::ClosedComponents] {
+            self.record_liquid(stage);
+        }
+        self.liquid_right_hand_side();
         Ok(())
     }
 
@@ -359,14 +397,14 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    /// Prescribed motion that would change the volume of an enclosed liquid component makes the solve incompatible.
-    fn check_squeeze(&mut self) -> Result<(), Error> {
+    /// Enclosed liquid components whose volume prescribed motion would change.
+    fn squeeze(&mut self) -> Result<Squeeze, Error> {
         let GpuPath { gpu, scene, liquid, solids, coupling, obstacles, readbacks, .. } = &mut *self.path;
-        let Some((liquid, outcome)) = liquid.as_ref().zip(self.readback.pressure.as_mut()) else {
-            return Ok(());
+        let Some((liquid, outcome)) = liquid.as_ref().zip(self.readback.pressure.as_ref()) else {
+            return Ok(Squeeze::default());
         };
-        if outcome.status != SolveStatus::Converged || outcome.closed_components == 0 || !can_squeeze(scene) {
-            return Ok(());
+        if outcome.status == SolveStatus::NonFinite || outcome.closed_components == 0 || !can_squeeze(scene) {
+            return Ok(Squeeze::default());
         }
         let clip = coupling.as_ref().map(|coupling| &coupling.clip);
         let clip = clip.or(obstacles.as_ref().map(|obstacles| &obstacles.clip));
@@ -375,15 +413,19 @@ impl SubStep<'_, '_> {
         let prescribed = fluxes.iter().copied().chain(sources);
         let together = self.readback.together;
         let nodes = solids.as_ref().zip(clip).filter(|_| together);
-        if squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, prescribed)? > SQUEEZE {
-            outcome.status = SolveStatus::Incompatible;
-            if let Some((velocity, _)) = &mut self.readback.velocity
-                && velocity.status == SolveStatus::Converged
-            {
-                velocity.status = SolveStatus::Incompatible;
-            }
+        squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, prescribed)
+    }
+
+    /// Prescribed motion that would change the volume of an enclosed liquid component makes the solve incompatible.
+    fn flag_squeeze(&mut self, share: f64) {
+        if share <= SQUEEZE {
+            return;
         }
-        Ok(())
+        let pressure = self.readback.pressure.iter_mut();
+        let velocity = self.readback.velocity.iter_mut().map(|(velocity, _)| velocity);
+        for outcome in pressure.chain(velocity).filter(|outcome| outcome.status == SolveStatus::Converged) {
+            outcome.status = SolveStatus::Incompatible;
+        }
     }
 
     fn solve_velocity(&mut self) -> Result<(), Error> {

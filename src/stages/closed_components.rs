@@ -6,11 +6,11 @@
 //! free-surface face are counted, and those without a face at a wall, a solid or a source (ballistic ones). Without any of them nothing else
 //! is dispatched.
 //!
-//! **Means.** Sums over a component are integer sums of 96 bits, so a run repeats bitwise, and f32 is as exact as f64. They share buffers
+//! **Means.** With separation the pressure of a closed component is shifted to the least value 0 instead of the mean 0. Sums over a component are integer sums of 96 bits, so a run repeats bitwise, and f32 is as exact as f64. They share buffers
 //! with the solve, which never runs at the same time.
 
 use crate::Error;
-use crate::fields::{CouplingBuffers, SolverBuffers};
+use crate::fields::{CouplingBuffers, LiquidBuffers, SolverBuffers};
 use crate::gpu::bind;
 use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::step::Stage;
@@ -28,16 +28,18 @@ pub struct Components {
     open: Bound,
     gate: Bound,
     flag: Bound,
-    rhs: Means,
-    potential: Means,
+    grow: Option<Grow>,
+    rhs: Shift,
+    potential: Shift,
     /// Dispatch sizes: a thread per active quad where some component has no free surface or is ballistic; where some are closed fewer, with a run of quads
     /// each.
     sizes: Buffer<u32>,
 }
 
 impl Components {
-    /// Compiles and binds. All fields are in [`SolverBuffers`].
-    pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Components, Error> {
+    /// Compiles and binds. All fields are in [`SolverBuffers`]. `lifts`: the least potential of closed components is 0, as with separation, not
+    /// their mean.
+    pub fn new(gpu: &Gpu, buffers: &SolverBuffers, lifts: bool) -> Result<Components, Error> {
         let level = gpu.uniform("solver.level", &buffers.plan.level(0))?;
         let sizes = gpu.buffer("solver.closed_sizes", 8)?;
         let own = [("level", (&level).into()), ("sizes", (&sizes).into())];
@@ -49,8 +51,9 @@ impl Components {
             open: bound(wgsl!("components_open"))?,
             gate: bound(wgsl!("components_gate"))?,
             flag: bound(wgsl!("components_flag"))?,
-            rhs: Means::new(gpu, buffers, &buffers.rhs, LARGEST[0])?,
-            potential: Means::new(gpu, buffers, &buffers.potential, LARGEST[1])?,
+            grow: None,
+            rhs: Shift::new(gpu, buffers, &buffers.rhs, (LARGEST[0], false))?,
+            potential: Shift::new(gpu, buffers, &buffers.potential, (LARGEST[1], lifts))?,
             sizes,
         })
     }
@@ -65,8 +68,44 @@ impl Components {
         if let Some(seal) = seal {
             pass.dispatch(&seal.seal, seal.n_quads);
         }
+        if let Some(grow) = self.grow.as_ref().filter(|grow| grow.active) {
+            pass.dispatch(&grow.bound, grow.cells.len());
+        }
         pass.dispatch(&self.gate, 1);
         pass.dispatch_indirect(&self.flag, &self.sizes, 0);
+    }
+
+    /// Enclosed components whose room grows, given by the cells (scalar indices of the padded grid) whose walls recede: until they are cleared,
+    /// [`Components::label`] counts them as open, and adds the cells to those that separated in the last sub-step. With separation only.
+    ///
+    /// # Errors
+    /// Where the device has no memory for the list.
+    pub fn set_growing(
+        &mut self,
+        gpu: &Gpu,
+        liquid: &LiquidBuffers,
+        solver: &SolverBuffers,
+        cells: &[u32],
+    ) -> Result<(), Error> {
+        let grow = match self.grow.take().filter(|grow| grow.cells.len() >= cells.len()) {
+            Some(grow) => grow,
+            None => Grow::new(gpu, liquid, solver, cells.len().next_power_of_two())?,
+        };
+        let mut list = cells.to_vec();
+        list.resize(grow.cells.len(), u32::MAX);
+        gpu.upload(&grow.cells, &list);
+        self.grow = Some(Grow { active: true, ..grow });
+        Ok(())
+    }
+
+    /// Ends [`Components::set_growing`].
+    pub fn clear_growing(&mut self) {
+        self.grow.iter_mut().for_each(|grow| grow.active = false);
+    }
+
+    /// Whether some components open in this sub-step.
+    pub fn grows(&self) -> bool {
+        self.grow.as_ref().is_some_and(|grow| grow.active)
     }
 
     /// Takes the mean over every closed component out of the right-hand side, without which the system has no solution.
@@ -74,9 +113,27 @@ impl Components {
         self.rhs.record(pass, &self.sizes);
     }
 
-    /// After the solve: gives the potential of every closed component the mean zero.
-    pub fn centre_potential(&self, pass: &mut Pass) {
+    /// After the solve: gives the potential of every closed component its level.
+    pub fn shift_potential(&self, pass: &mut Pass) {
         self.potential.record(pass, &self.sizes);
+    }
+}
+
+/// Marks the components whose room grows. Made when the first one does.
+#[derive(Debug)]
+struct Grow {
+    bound: Bound,
+    cells: Buffer<u32>,
+    active: bool,
+}
+
+impl Grow {
+    fn new(gpu: &Gpu, liquid: &LiquidBuffers, solver: &SolverBuffers, n_cells: usize) -> Result<Grow, Error> {
+        let cells = gpu.buffer("solver.growing", n_cells)?;
+        let gpu = &gpu.at(Stage::ClosedComponents.name());
+        let own = [("growing", (&cells).into())];
+        let bound = bind(gpu, &wgsl!("components_grow"), solver.variant.inner, own, &[liquid, solver])?;
+        Ok(Grow { bound, cells, active: false })
     }
 }
 
@@ -115,17 +172,22 @@ impl Seal {
     }
 }
 
-/// Takes the means over closed components out of one field.
+/// Shifts one field in closed components to the mean 0, or to the least value 0.
 #[derive(Debug)]
-struct Means {
+struct Shift {
     largest: Bound,
-    sum: Bound,
+    find: Bound,
     subtract: Bound,
 }
 
-impl Means {
-    fn new(gpu: &Gpu, buffers: &SolverBuffers, field: &RealBuffer, largest: u32) -> Result<Means, Error> {
-        let settings = gpu.uniform("solver.closed_settings", &[largest, 0, 0, 0])?;
+impl Shift {
+    fn new(
+        gpu: &Gpu,
+        buffers: &SolverBuffers,
+        field: &RealBuffer,
+        (largest, to_least): (u32, bool),
+    ) -> Result<Shift, Error> {
+        let settings = gpu.uniform("solver.closed_settings", &[largest, to_least.into(), 0, 0])?;
         let own = [
             ("settings", (&settings).into()),
             ("field", field.into()),
@@ -137,16 +199,19 @@ impl Means {
         ];
         let gpu = &gpu.at(Stage::ClosedComponents.name());
         let bound = |source| bind(gpu, &source, field.real, own, &[buffers]);
-        Ok(Means {
+        Ok(Shift {
             largest: bound(wgsl!("components_largest"))?,
-            sum: bound(wgsl!("components_sum"))?,
+            find: match to_least {
+                true => bound(wgsl!("components_least"))?,
+                false => bound(wgsl!("components_sum"))?,
+            },
             subtract: bound(wgsl!("components_subtract"))?,
         })
     }
 
     fn record(&self, pass: &mut Pass, sizes: &Buffer<u32>) {
         pass.dispatch_indirect(&self.largest, sizes, 1);
-        pass.dispatch_indirect(&self.sum, sizes, 1);
+        pass.dispatch_indirect(&self.find, sizes, 1);
         pass.dispatch_indirect(&self.subtract, sizes, 0);
     }
 }

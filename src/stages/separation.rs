@@ -156,10 +156,16 @@ impl Separation {
         }))
     }
 
-    /// Records the first set: what separated in the last sub-step.
-    pub fn record_start(&self, to: &mut Recorder, liquid: &LiquidBuffers, solver: &SolverBuffers) {
+    /// Records what separated in the last sub-step.
+    pub fn record_before(&self, to: &mut Recorder, liquid: &LiquidBuffers) {
         if let Some((now, before)) = liquid.separated.as_ref().zip(liquid.separated_before.as_ref()) {
             to.copy(now, before);
+        }
+    }
+
+    /// Records the first set: what separated in the last sub-step.
+    pub fn record_start(&self, to: &mut Recorder, liquid: &LiquidBuffers, solver: &SolverBuffers) {
+        if let Some(now) = &liquid.separated {
             to.clear(now);
         }
         to.stage(Stage::Solve.name(), |pass| {

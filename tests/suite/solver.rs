@@ -125,7 +125,7 @@ impl<'a> Device<'a> {
         Device {
             system: system.unwrap(),
             everywhere,
-            components: Components::new(gpu, &buffers).unwrap(),
+            components: Components::new(gpu, &buffers, false).unwrap(),
             velocity: field("test.velocity", 3),
             open,
             distance,
@@ -194,7 +194,7 @@ impl<'a> Device<'a> {
     pub(crate) fn solve(&self) -> Solved {
         let (outcome, _) = self.pressure().solve(self.gpu, self.prepare(), &self.buffers).unwrap();
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage(Stage::ClosedComponents.name(), |pass| self.components.centre_potential(pass));
+        recorder.stage(Stage::ClosedComponents.name(), |pass| self.components.shift_potential(pass));
         recorder.submit();
         let potential = self.cells(&self.buffers.potential);
         Solved { outcome, potential }

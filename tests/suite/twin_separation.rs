@@ -10,7 +10,7 @@ use cutwater::state::{SolveStatus, State};
 use crate::common::gpu;
 use crate::liquid_case::EPS;
 use crate::separation::{
-    DAM, GRAVITY, Solved, assert_complementary, ceiling, domain, filled, pulled_block, scene, separation, speed,
+    DAM, GRAVITY, Solved, assert_complementary, ceiling, domain, filled, piston, pulled_block, scene, separation, speed,
 };
 
 fn on_gpu(text: &str) -> Simulation {
@@ -260,6 +260,26 @@ fn every_stage_is_that_of_its_twin() {
     let Some(_) = gpu() else { return };
     for text in bodies() {
         assert_clean(&scene(&text), 2, "");
+    }
+}
+
+/// Enclosed liquid opens where its walls recede, by the room that they leave.
+#[test]
+fn enclosed_liquid_opens_as_in_its_twin() {
+    if gpu().is_none() {
+        return;
+    }
+    for (kind, solid) in [("walls", false), ("from_air", false), ("walls", true), ("from_air", true)] {
+        let (text, speed) = piston(kind, solid);
+        let mut simulation = on_gpu(&text);
+        let report = simulation.step().unwrap();
+        let first = separation(&report);
+        let (opened, room) = (first.opened, speed * report.dt * 0.25);
+        assert!((opened - room).abs() < 1e-5 * room, "{kind}, {solid}: {opened} m^3 of {room} m^3");
+        for _ in 0..3 {
+            assert!(separation(&simulation.step().unwrap()).cells > 0);
+        }
+        assert_clean(&scene(&text), 2, &format!("{kind}, solid {solid}"));
     }
 }
 

@@ -198,6 +198,9 @@ impl<'a> Twins<'a> {
             report: after.coupling,
         });
         let both = both.as_ref();
+        if let (Stage::Solve, Some(twin), Some(after)) = (stage, &mut self.liquid, &after.liquid) {
+            twin.release(after, self.clip.as_ref(), both);
+        }
         if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) =
             (stage, both.filter(|both| both.touch()), &self.liquid, &mut self.solids)
             && let Some(systems) = liquid.systems(both.liquid, both)

@@ -80,16 +80,12 @@ impl SubStep<'_> {
             coupling.add_product(prescribed.as_flattened(), &mut flux);
             flux
         });
-        let growing = pressure.take_growing(&touching, flux.as_deref(), SQUEEZE);
+        let receding = pressure.take_growing(&touching, flux.as_deref(), SQUEEZE);
         let from_air = self.liquid()?.separation == Separate::FromAir;
-        let candidates = Candidates {
-            touching: &touching,
-            from_air: from_air.then_some(open),
-            before: &self.before.separated,
-            pressure: &self.before.pressure,
-        };
+        let candidates =
+            Candidates { touching: &touching, from_air: from_air.then_some(open), before: &self.before.separated };
         let pressure = self.results.pressure.as_ref()?;
-        Some(Separation::new(pressure, candidates, &growing))
+        Some(Separation::new(pressure, candidates, &receding))
     }
 
     /// Makes the least pressure of enclosed components 0: their pressure has no level, and walls do not pull.

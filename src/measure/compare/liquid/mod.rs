@@ -67,6 +67,10 @@ struct Twin {
     /// m/s, and its error bound on the device.
     rhs: Vec<f64>,
     rhs_bound: f64,
+    /// The same without the flux of solids, m/s.
+    rhs_of_liquid: Vec<f64>,
+    /// Cells of enclosed components that the device opened.
+    opened: Vec<bool>,
     /// Norm of |E| |u*|, m/s.
     flux: f64,
     /// Pa.
@@ -115,7 +119,7 @@ impl<'a> LiquidComparison<'a> {
     pub(super) fn systems(&self, after: &LiquidSnapshot, both: &Both) -> Option<[(ActiveCells, Inflow); 2]> {
         let area = self.grid.dx * self.grid.dx;
         let assembled = self.twin.active.clone()?;
-        let mut stored = after.active_cells(&self.grid);
+        let mut stored = self.stored(after);
         stored.seal(both.clip.coupling(), &both.at_rest.prescribed);
         let rhs =
             |values: &[f64]| Inflow { values: values.iter().map(|b| area * b).collect(), scale: area * self.twin.flux };
@@ -560,6 +564,7 @@ impl<'a> LiquidComparison<'a> {
             }
             reference::remove_means(&active.closed, &mut rhs);
         }
+        self.twin.rhs_of_liquid.clone_from(&rhs);
         if let Some(both) = both {
             let [flux, gross] = both.flux(grid.dx, &closed);
             rhs.iter_mut().zip(flux).for_each(|(b, flux)| *b -= flux);

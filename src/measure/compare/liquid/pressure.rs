@@ -5,8 +5,11 @@
 //! residual as right-hand side, bounds the error of the pressure. In an enclosed component one cell is fixed; this bounds the differences to it.
 //! Pressures without the mean are off by at most twice the largest of these.
 
+use super::super::table::number;
 use super::{Both, DIRICHLET_ROUNDINGS, EPS, LiquidComparison, largest, unit};
 use crate::Error;
+use crate::effects::Effects;
+use crate::geometry::SolidClip;
 use crate::linalg::norm;
 use crate::reference::{ActiveCells, PressureSystem, Stencil, remove_means, solve, solve_iterative};
 use crate::scene::{Precision, Solver};
@@ -31,10 +34,47 @@ impl LiquidComparison<'_> {
         f64::from(self.step.density) * self.grid.dx / self.dt()
     }
 
+    /// Before `solve` is compared: enclosed components with a separated cell are open. Their right-hand side gets back its mean, as in
+    /// [`PressureSystem::take_growing`], and a row says whether their room grows as it must.
+    pub(in super::super) fn release(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
+        let grid = self.grid;
+        let Some(active) = &mut self.twin.active else {
+            return;
+        };
+        let separates = |component: &Vec<usize>| component.iter().any(|&cell| after.separated.get(cell) == Some(&true));
+        let (opened, closed) = std::mem::take(&mut active.closed).into_iter().partition(separates);
+        active.closed = closed;
+        let mut taken = vec![0.0; grid.n_cells()];
+        let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux()).iter().copied();
+        let open = clip.map(|clip| &clip.cut_cells().open);
+        let sources = self.taps.boundary_flux(&grid, open, self.running.running);
+        obstacles.chain(sources).for_each(|(cell, flux)| taken[cell] += flux / (grid.dx * grid.dx));
+        let by_solids = both.map(|both| both.constrained_flux(grid.dx, &after.active));
+        for component in &opened {
+            let sum = |flux: &[f64]| component.iter().map(|&cell| flux[cell]).sum::<f64>();
+            let grows = sum(&taken) + by_solids.as_deref().map_or(0.0, sum) > 0.0;
+            self.table.whole(["opened components", "flag"], 1.0, number(grows), 0.0);
+            let mean = sum(&taken) / component.len() as f64;
+            for &cell in component {
+                self.twin.rhs[cell] = self.twin.rhs_of_liquid[cell] - mean;
+                self.before.rhs[cell] = self.twin.rhs[cell];
+            }
+        }
+        self.twin.opened = vec![false; grid.n_cells()];
+        opened.iter().flatten().for_each(|&cell| self.twin.opened[cell] = true);
+    }
+
+    /// The unknowns as the device stores them.
+    pub(super) fn stored(&self, after: &LiquidSnapshot) -> ActiveCells {
+        let mut stored = after.active_cells(&self.grid);
+        let opened = &self.twin.opened;
+        stored.closed.retain(|component| !component.iter().any(|&cell| opened[cell]));
+        stored
+    }
+
     /// Rows `solve` and `assembly`. With solids the right-hand side is b - J v for the computed v. The tolerance then refers to b less the flux of
     /// constrained nodes, from which the solve starts.
     pub(super) fn solve(&mut self, after: &LiquidSnapshot, both: Option<&Both>) -> Result<(), Error> {
-        let grid = self.grid;
         let start = match both.filter(|both| both.touch()) {
             Some(both) => self.subtract_flux(after, both),
             None => 0.0,
@@ -42,14 +82,13 @@ impl LiquidComparison<'_> {
         let active = self.twin.active.take();
         let mut twin_active = active.expect("active_cells comes before solve");
         // B alone does not determine the pressure level of a component beside solids: it is taken from the device.
-        let sealed = std::mem::take(&mut twin_active.sealed);
-        twin_active.closed.extend(sealed.iter().cloned());
+        twin_active.closed.append(&mut twin_active.sealed);
         let settings = Solver {
             tolerance: EXACT.min(1e-2 * self.scene.solver.tolerance),
             max_iterations: 10_000,
             ..self.scene.solver
         };
-        let active = after.active_cells(&grid);
+        let active = self.stored(after);
         let mut rhs = after.rhs.clone();
         remove_means(&active.closed, &mut rhs);
         // The pressure depends on the data continuously, the set of separated cells does not: it is the device's.
@@ -71,9 +110,19 @@ impl LiquidComparison<'_> {
         let start = (start, norm(&summed.collect::<Vec<_>>()));
         let (mut solution, _) = solve(&stored, &settings)?;
         let (mut twin, _) = solve(&assembled, &settings)?;
-        for component in &sealed {
-            let level = component.iter().map(|&cell| after.potential[cell]);
-            let level = level.sum::<f64>() / component.len() as f64;
+        let of = |component: &[usize]| component.iter().map(|&cell| after.potential[cell]).collect::<Vec<_>>();
+        let mean = |component: &[usize]| of(component).iter().sum::<f64>() / component.len() as f64;
+        let lifts = Effects::of(self.scene).separation;
+        for component in stored.closed.iter().filter(|component| after.closed[component[0]]) {
+            let level = match lifts {
+                true => of(component).into_iter().fold(f64::INFINITY, f64::min),
+                false => mean(component),
+            };
+            let bound = 4.0 * EPS * largest(of(component).into_iter().map(f64::abs));
+            self.table.whole(["level of enclosed liquid", "m/s"], level, 0.0, bound);
+        }
+        for component in &stored.closed {
+            let level = mean(component);
             for &cell in component {
                 solution[cell] += level;
                 twin[cell] += level;
@@ -96,10 +145,12 @@ impl LiquidComparison<'_> {
         let before = &self.before.rhs;
         let left = before.iter().zip(&constrained);
         let left: Vec<f64> = left.map(|(b, constrained)| b - constrained).collect();
+        let opened = &self.twin.opened;
+        let reassembled = |cell: usize| if opened[cell] { self.twin.rhs_bound } else { 0.0 };
         self.table.cells(&grid, ["E u* - J v", "m/s"], |cell| {
             let rounded = unit(after.real) * 8.0 * before[cell].abs();
             // Areas over dx^2 are f32, and so is the dx of this grid.
-            let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded;
+            let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded + reassembled(cell);
             open[cell].then_some((after.rhs[cell], before[cell] - flux[cell], bound))
         });
         for (rhs, flux) in self.twin.rhs.iter_mut().zip(flux) {
