@@ -82,7 +82,9 @@ fn say_scene(scene: &Scene, plan: &Plan) {
             true => format!(", {share:.1} % of its unobstructed flow: walls cover the rest"),
             false => String::new(),
         };
-        say!("  source[{number}] emits {:.4e} m^3/s at {:.4} m/s{covered}", flow.flow_rate, flow.velocity.length());
+        let most = if scene.sources[number].keyframes.is_empty() { "" } else { "at most " };
+        let speed = flow.velocity.length();
+        say!("  source[{number}] emits {most}{:.4e} m^3/s at {speed:.4} m/s{covered}", flow.flow_rate);
     }
     let frame = 1.0 / scene.time.frames_per_second;
     say!(

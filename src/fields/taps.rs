@@ -114,6 +114,10 @@ fn boxes(grid: &Grid, sets: &[(u32, Vec<(usize, u32)>)]) -> (Vec<Region>, Vec<u3
     (regions, map)
 }
 
+fn device_faces(grid: &Grid, taps: &SourcesAndSinks) -> Vec<DeviceSourceFace> {
+    taps.faces.iter().map(|face| DeviceSourceFace::new(grid, face)).collect()
+}
+
 /// One box around the cells of all sinks.
 fn sink_boxes(grid: &Grid, taps: &SourcesAndSinks) -> (Vec<Region>, Vec<u32>) {
     let cells = taps.sink_cells.iter().map(|&cell| (cell, 1));
@@ -223,7 +227,6 @@ impl Sources {
             let [i, j, k] = grid.cell_at(cell).map(|n| n as u32);
             [i, j, k, source | u32::from(eighths) << 8]
         });
-        let faces = taps.faces.iter().map(|face| DeviceSourceFace::new(grid, face));
         let (regions, map) = source_boxes(grid, taps);
         let (n_cells, n_faces) = (taps.source_cells.len(), taps.faces.len());
         let n_lattices = match liquid.plan.effects.level {
@@ -234,8 +237,13 @@ impl Sources {
         gpu.upload(&sources.regions, &regions);
         gpu.upload(&sources.map, &map);
         gpu.upload(&sources.cells, &cells.collect::<Vec<_>>());
-        gpu.upload(&sources.faces, &faces.collect::<Vec<_>>());
+        gpu.upload(&sources.faces, &device_faces(grid, taps));
         Ok(Some(sources))
+    }
+
+    /// Writes the velocities of a sub-step.
+    pub fn write_velocities(&self, gpu: &Gpu, grid: &Grid, taps: &SourcesAndSinks) {
+        gpu.upload(&self.faces, &device_faces(grid, taps));
     }
 
     /// Number of source cells.

@@ -15,8 +15,14 @@
 //!
 //! The octants of source cells that lie in the shape are refilled with markers; their number equals the volume of the shape.
 //!
+//! With keyframes a source has a constant direction and in each sub-step the mean of its velocity. Faces have this velocity;
+//! cells and apertures are those of the largest. A source without velocity does not run. A level and its markers move with the
+//! velocities of the last sub-step, and so do their inflow and the lattice of new markers.
+//!
 //! A sink consists of the cells with a centre in its shape and outside static obstacles. Moving bodies change neither cells nor
 //! apertures; `exchange` emits no markers in the cells that they cover.
+
+use std::borrow::Cow;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -25,7 +31,7 @@ use super::CutCells;
 use super::distance::Solid;
 use crate::error::{Error, rounded};
 use crate::grid::{Axis, Grid};
-use crate::scene::{MAX_VELOCITY, Scene, Shape, Source};
+use crate::scene::{MAX_VELOCITY, Scene, Shape, Source, VectorKeyframe};
 use crate::state::State;
 
 /// Least number of markers in a source cell: one per octant.
@@ -49,8 +55,10 @@ pub struct SourceFace {
     pub face: usize,
     /// Sources of the cells on the minus and plus side.
     pub sides: [Option<u32>; 2],
-    /// Velocities of these sources along the axis, m/s; 0 on sides of the domain.
+    /// Velocities of these sources along the axis in the sub-step, m/s; 0 on sides of the domain.
     pub velocity: [f64; 2],
+    /// The same at their largest velocities.
+    largest: [f64; 2],
     /// Apertures of these sources towards a cell of no source.
     pub aperture: [f64; 2],
     /// Open area, m^2.
@@ -145,24 +153,69 @@ fn runs(source: Option<u32>, running: u32) -> bool {
 }
 
 /// A source without its cells.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct SourceState {
-    /// m/s
+    /// m/s; with keyframes the largest.
     velocity: DVec3,
+    /// Velocity over time; empty if it is constant.
+    keyframes: Vec<VectorKeyframe>,
+    /// Fractions of the velocity in the last sub-step and in this one.
+    parts: [f64; 2],
     /// s
     start: f64,
     /// s
     end: f64,
     /// Mean number of cells along the axis of the largest velocity.
     depth: f64,
+    /// Flow rate at the velocity while no other source runs, m^3/s.
+    flow_rate: f64,
     /// Flow rate without walls: speed times projected area, m^3/s.
     unobstructed: f64,
+}
+
+impl SourceState {
+    /// Mean fraction of the velocity between two times (s).
+    fn mean_part(&self, times: [f64; 2]) -> f64 {
+        match &self.keyframes[..] {
+            [] => 1.0,
+            keyframes => self.part(VectorKeyframe::mean(keyframes, times)),
+        }
+    }
+
+    fn part(&self, velocity: DVec3) -> f64 {
+        velocity.dot(self.velocity) / self.velocity.length_squared()
+    }
+
+    /// Largest fraction of the velocity between two times (s).
+    fn largest_part(&self, [from, to]: [f64; 2]) -> f64 {
+        if self.keyframes.is_empty() {
+            return 1.0;
+        }
+        let within = self.keyframes.iter().filter(|frame| (from..=to).contains(&frame.time));
+        let ends = [from, to].map(|time| VectorKeyframe::at(&self.keyframes, time));
+        within.map(|frame| frame.value).chain(ends).map(|velocity| self.part(velocity)).fold(0.0, f64::max)
+    }
+
+    /// Whether it emits after a time (s).
+    fn runs_after(&self, time: f64) -> bool {
+        let next = self.keyframes.partition_point(|frame| frame.time <= time);
+        let around = [next.saturating_sub(1), next.min(self.keyframes.len().saturating_sub(1))];
+        let some = self.keyframes.is_empty() || around.iter().any(|&at| self.keyframes[at].value != DVec3::ZERO);
+        self.start <= time && time < self.end && some
+    }
+
+    /// How often it starts at most.
+    fn n_starts(&self) -> usize {
+        let at_once = self.keyframes.first().is_none_or(|frame| frame.value != DVec3::ZERO);
+        let pairs = self.keyframes.windows(2);
+        usize::from(at_once) + pairs.filter(|pair| pair[0].value == DVec3::ZERO && pair[1].value != DVec3::ZERO).count()
+    }
 }
 
 /// Flow of a source on the grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFlow {
-    /// Velocity of the liquid, m/s.
+    /// Velocity of the liquid, m/s; with keyframes the largest, and the following flow rates.
     pub velocity: DVec3,
     /// Flow rate while no other source runs, m^3/s.
     pub flow_rate: f64,
@@ -236,7 +289,8 @@ impl SourcesAndSinks {
                 _ => 0.0,
             });
             let whole = grid.dx * grid.dx;
-            SourceFace { axis, face, sides, velocity, aperture, area: whole * cut.open[a][face], whole }
+            let area = whole * cut.open[a][face];
+            SourceFace { axis, face, sides, velocity, largest: velocity, aperture, area, whole }
         };
         let faces = Axis::ALL.into_iter().flat_map(|axis| {
             let faces = faces_of_cells(grid, axis, &source_cells).into_iter();
@@ -245,9 +299,12 @@ impl SourcesAndSinks {
         let faces = faces.map(|(axis, number)| face(axis, number)).collect();
         let sources = scene.sources.iter().zip(&outlets).map(|(source, outlet)| SourceState {
             velocity: source.velocity,
+            keyframes: source.keyframes.clone(),
+            parts: [1.0; 2],
             start: source.start,
             end: source.end,
             depth: outlet.depth,
+            flow_rate: 0.0,
             unobstructed: outlet.area * source.velocity.length(),
         });
         let mut all = SourcesAndSinks { sources: sources.collect(), source_cells, eighths, faces, sink_cells };
@@ -255,6 +312,7 @@ impl SourcesAndSinks {
             if let Some(flow_rate) = source.flow_rate {
                 all.set_flow_rate(number, flow_rate, &scene.at(&format!("source[{number}]")))?;
             }
+            all.sources[number].flow_rate = all.flux(1 << number);
         }
         Ok(all)
     }
@@ -272,22 +330,50 @@ impl SourcesAndSinks {
             ));
         }
         source.velocity *= scale;
+        source.keyframes.iter_mut().for_each(|frame| frame.value *= scale);
         source.unobstructed *= scale;
         for face in &mut self.faces {
-            for (velocity, side) in face.velocity.iter_mut().zip(face.sides) {
+            for (velocity, side) in face.largest.iter_mut().zip(face.sides) {
                 if side == Some(number as u32) {
                     *velocity *= scale;
                 }
             }
+            face.velocity = face.largest;
         }
         Ok(())
     }
 
+    /// With the velocities of a sub-step, see [`set_velocities`](Self::set_velocities).
+    pub fn with_velocities(&self, time: f64, dts: [f64; 2]) -> Cow<'_, SourcesAndSinks> {
+        if self.sources.iter().all(|source| source.keyframes.is_empty()) {
+            return Cow::Borrowed(self);
+        }
+        let mut own = self.clone();
+        own.set_velocities(time, dts);
+        Cow::Owned(own)
+    }
+
+    /// Sets the velocities of a sub-step of dt (s) after a time (s); the last one had `dt_last` (s). Returns whether any changes over time.
+    pub fn set_velocities(&mut self, time: f64, [dt_last, dt]: [f64; 2]) -> bool {
+        let timed = self.sources.iter().any(|source| !source.keyframes.is_empty());
+        if timed {
+            for source in &mut self.sources {
+                source.parts = [[time - dt_last, time], [time, time + dt]].map(|times| source.mean_part(times));
+            }
+            for face in &mut self.faces {
+                for ((velocity, largest), side) in face.velocity.iter_mut().zip(face.largest).zip(face.sides) {
+                    *velocity = side.map_or(1.0, |source| self.sources[source as usize].parts[1]) * largest;
+                }
+            }
+        }
+        timed
+    }
+
     /// Flow of each source.
     pub fn flows(&self) -> impl Iterator<Item = SourceFlow> {
-        self.sources.iter().enumerate().map(|(number, source)| SourceFlow {
+        self.sources.iter().map(|source| SourceFlow {
             velocity: source.velocity,
-            flow_rate: self.flux(1 << number),
+            flow_rate: source.flow_rate,
             unobstructed: source.unobstructed,
             start: source.start,
             end: source.end,
@@ -297,7 +383,7 @@ impl SourcesAndSinks {
     /// Activity in the sub-step after a state; `seed` is that of the scene's markers.
     pub fn running(&self, state: &State, seed: u64) -> Running {
         let sources = self.sources.iter().enumerate();
-        let runs = sources.filter(|(_, source)| source.start <= state.time && state.time < source.end);
+        let runs = sources.filter(|(_, source)| source.runs_after(state.time));
         let running = runs.fold(0, |set, (number, _)| set | 1 << number);
         // Folds 64 bits into 32.
         let fold = |x: u64| (x ^ (x >> 32)) as u32;
@@ -325,15 +411,24 @@ impl SourcesAndSinks {
     pub fn lattices(&self, grid: &Grid, time: f64, dt: f64) -> Vec<Lattice> {
         let lattice = |source: &SourceState| {
             // Counted from the start, so that one sub-step ends where the next begins.
-            let units = |time: f64| {
-                let octants = (time - source.start) * source.velocity / (0.5 * grid.dx);
+            let units = |seconds: f64| {
+                let octants = seconds * source.velocity / (0.5 * grid.dx);
                 (octants * OCTANT_UNITS as f64).to_array().map(|x| x.round() as i64)
             };
-            let (before, after) = (units(time), units(time + dt));
+            let since_start = |time: f64| (time - source.start) * source.mean_part([source.start, time]);
+            let after = units(since_start(time + dt));
+            let moved = match source.keyframes.is_empty() {
+                true => {
+                    let before = units(since_start(time));
+                    std::array::from_fn(|a| after[a] - before[a])
+                }
+                // The liquid that is there has moved with the velocity of the last sub-step.
+                false => units(dt * source.parts[0]),
+            };
             Lattice {
                 whole: after.map(|x| x.div_euclid(OCTANT_UNITS) as i32),
                 rest: after.map(|x| x.rem_euclid(OCTANT_UNITS) as i32),
-                moved: std::array::from_fn(|a| (after[a] - before[a]) as i32),
+                moved: moved.map(|x| x as i32),
             }
         };
         self.sources.iter().map(lattice).collect()
@@ -361,7 +456,11 @@ impl SourcesAndSinks {
     /// Volume that a source emits beyond its own cells in a sub-step of dt (s), m^3, with a level: it moves with the velocity of
     /// the last sub-step, so a source that starts emits in the next one.
     pub fn inflow(&self, sources: Running, source: u32, dt: f64) -> f64 {
-        dt * self.flux_of(source, sources.running & !sources.starting)
+        let flux = self.flux_of(source, sources.running & !sources.starting);
+        match self.sources[source as usize].parts {
+            [before, now] if before != now && now > 0.0 => dt * flux * (before / now),
+            _ => dt * flux,
+        }
     }
 
     /// [`inflow`](Self::inflow) of each source, m^3.
@@ -415,24 +514,31 @@ impl SourcesAndSinks {
         faces.collect()
     }
 
-    /// Speed limit of the CFL condition with `cfl` cells for sources that run at a time (s) or later, m/s.
+    /// Speed limit of the CFL condition with `cfl` cells for sources that run at a time (s) or later, m/s; for those with keyframes
+    /// from the beginning of the last sub-step, `dt_last` (s) earlier, to the end of the frame, `left` (s) later.
     ///
     /// A source thinner than `cfl` cells has a proportionally larger speed: a sub-step must not empty it, else the emitted
     /// liquid has gaps.
-    pub fn speed(&self, time: f64, cfl: f64) -> f64 {
+    pub fn speed(&self, time: f64, [dt_last, left]: [f64; 2], cfl: f64) -> f64 {
         let sources = self.sources.iter().filter(|source| time < source.end);
-        sources.map(|source| source.velocity.abs().max_element() * (cfl / source.depth).max(1.0)).fold(0.0, f64::max)
+        let speed = |source: &SourceState| {
+            let part = source.largest_part([time - dt_last, time + left]);
+            part * source.velocity.abs().max_element() * (cfl / source.depth).max(1.0)
+        };
+        sources.map(speed).fold(0.0, f64::max)
     }
 
-    /// Upper bound of the markers emitted up to a time (s): the initial filling, the slots of a sub-step and 1.25 times the flux.
+    /// Upper bound of the markers emitted up to a time (s): the fillings at each start, the slots of a sub-step and 1.25 times the flux.
     pub fn max_markers(&self, level: bool, duration: f64, grid: &Grid) -> usize {
-        let flux = (0..self.sources.len()).map(|number| {
-            let SourceState { start, end, .. } = self.sources[number];
-            self.flux(1 << number) * (end.min(duration) - start).max(0.0)
+        let flux = self.sources.iter().map(|source| {
+            let (start, end) = (source.start, source.end.min(duration));
+            source.flow_rate * (end - start).max(0.0) * source.mean_part([start, end])
         });
         let flowed = 1.25 * flux.sum::<f64>() / grid.cell_volume();
         let slots = if level { MOST_SITES } else { MARKERS_PER_CELL };
-        (MARKERS_PER_CELL + slots) * self.source_cells.len() + MARKERS_PER_CELL * flowed.ceil() as usize
+        let cells = self.source_cells.iter();
+        let filled: usize = cells.map(|&(_, source)| self.sources[source as usize].n_starts()).sum();
+        MARKERS_PER_CELL * (filled + flowed.ceil() as usize) + slots * self.source_cells.len()
     }
 
     /// Apertures for the pressure: faces with a prescribed velocity are closed.

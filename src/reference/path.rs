@@ -189,7 +189,7 @@ impl Reference {
         let pushing_speed = pushing.map_or(0.0, |field| field.max_speed(state.time, left));
         let obstacle_speed = obstacle_speed.max(pushing_speed);
         let speed = larger(max_speed(&state.velocity), solid_speed.max(obstacle_speed));
-        let speed = larger(speed, taps.speed(state.time, scene.time.cfl));
+        let speed = larger(speed, taps.speed(state.time, [state.dt_last, left], scene.time.cfl));
         // After the first sub-step the velocities of scripted nodes include the scripts.
         let scripts = match (model.solids(), state.step) {
             (Some(solids), 0) => solids.max_script_speed(state.time, left),
@@ -214,6 +214,7 @@ impl Reference {
         let times = [state.time, state.time + time_step.dt];
         let domain = &mut model.scene.domain;
         domain.gravity = domain.mean_gravity(times);
+        model.taps.set_velocities(state.time, [state.dt_last, time_step.dt]);
         if let Some(solid) = &mut model.solid {
             solid.solids.set_load(times);
         }

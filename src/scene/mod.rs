@@ -627,9 +627,9 @@ pub struct Motion {
 pub struct Source {
     /// Its shape.
     pub shape: Shape,
-    /// Velocity of the emitted liquid, m/s; not zero. With a flow rate: the velocity without walls.
+    /// Velocity of the emitted liquid, m/s; not zero. With a flow rate: the velocity without walls. With keyframes the largest.
     pub velocity: DVec3,
-    /// Flow rate, m^3/s, whatever part of the source is covered by walls; `None` with a given velocity.
+    /// Flow rate, m^3/s, whatever part of the source is covered by walls; `None` with a given velocity. With keyframes the largest.
     pub flow_rate: Option<f64>,
     /// Start time, s; default 0.
     pub start: f64,
@@ -657,6 +657,8 @@ impl Probe {
     /// Columns in probes.csv: the name, with `_x`, `_y`, `_z` for vectors and `_volume` for a solid.
     pub fn columns(&self) -> Vec<String> {
         let endings: &[&str] = match self.kind {
+    /// Velocity over time, ascending, all along `velocity` and none larger; empty if it is constant.
+    pub keyframes: Vec<VectorKeyframe>,
             ProbeKind::Height { .. }
             | ProbeKind::Pressure { .. }
             | ProbeKind::Front { .. }

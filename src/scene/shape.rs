@@ -259,7 +259,7 @@ pub(super) fn vector_keyframes(
 }
 
 /// The entries of a list of keyframes, at least one, ascending in time. `read` gets their tables and times (s).
-fn over_time<T>(
+pub(super) fn over_time<T>(
     places: &Place,
     keys: &Keys,
     example: &str,

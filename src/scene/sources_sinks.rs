@@ -6,12 +6,26 @@ use glam::DVec3;
 
 use super::document::{Keys, Place, Table};
 use super::read::{MAX_VELOCITY, bounded};
-use super::shape::{ensure_in_domain, shape};
-use super::{Domain, Liquid, Placement, Shape, Sink, Source, Surface};
+use super::shape::{ensure_in_domain, over_time, shape, vector_keyframes};
+use super::{Domain, Liquid, Placement, Shape, Sink, Source, Surface, VectorKeyframe};
 use crate::error::{Error, rounded};
 
 const SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
-const SOURCE: Keys = Keys::new(&["box", "sphere", "cylinder", "velocity", "flow_rate", "direction", "start", "end"]);
+const SOURCE: Keys = Keys::new(&[
+    "box",
+    "sphere",
+    "cylinder",
+    "velocity",
+    "flow_rate",
+    "velocity_keyframes",
+    "flow_rate_keyframes",
+    "direction",
+    "start",
+    "end",
+]);
+const FLOWS: [&str; 4] = ["velocity", "flow_rate", "velocity_keyframes", "flow_rate_keyframes"];
+const VELOCITY_KEYFRAME: Keys = Keys::new(&["t", "velocity"]);
+const FLOW_RATE_KEYFRAME: Keys = Keys::new(&["t", "flow_rate"]);
 const SINK: Keys = Keys::new(&["box", "sphere", "cylinder"]);
 /// Most sources, and most sinks: a 32-bit word stores which of them run.
 const MAX_ENTRIES: usize = 32;
@@ -24,7 +38,7 @@ pub(super) fn sources(
 ) -> Result<Vec<Source>, Error> {
     let source = |place: Place| {
         let (table, shape) = region(&place, &SOURCE, file, domain)?;
-        let (velocity, flow_rate) = flow(&table, &shape)?;
+        let Flow { velocity, flow_rate, keyframes } = flow(&table, &shape)?;
         let start = table.optional("start", 0.0, |place| {
             place.number_within("the start time in s", 0.0.., "write a time of 0 s or later")
         })?;
@@ -37,7 +51,7 @@ pub(super) fn sources(
             )?;
             Ok(end)
         })?;
-        Ok(Source { shape, velocity, flow_rate, start, end })
+        Ok(Source { shape, velocity, flow_rate, keyframes, start, end })
     };
     entries(root, "source", liquid)?.into_iter().map(source).collect()
 }
@@ -45,26 +59,52 @@ pub(super) fn sources(
 /// Least speed of a source, m/s: a slower velocity has no direction in single precision.
 const MIN_SPEED: f64 = 1e-12;
 
-/// The velocity of a source and, if the scene specifies it, the flow rate.
-fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
+/// Largest sine of the angle between two velocities of a source.
+const SAME_DIRECTION: f64 = 1e-9;
+
+/// Velocity and flow rate of a source, see [`Source`].
+struct Flow {
+    velocity: DVec3,
+    flow_rate: Option<f64>,
+    keyframes: Vec<VectorKeyframe>,
+}
+
+fn flow(table: &Table, shape: &Shape) -> Result<Flow, Error> {
     let direction = table.get("direction");
-    let (kind, place) = table.one_of(&["velocity", "flow_rate"], "velocity or flow rate")?;
-    if kind == "velocity" {
+    let (kind, place) = table.one_of(&FLOWS, "velocity or flow rate")?;
+    if kind.starts_with("velocity") {
         if let Some(direction) = direction {
             return Err(direction.fail(
                 "needs a flow_rate, and the source has a velocity",
                 "remove it, or replace the velocity by flow_rate = 0.001, in m^3/s",
             ));
         }
-        let velocity = bounded(&place, "a velocity in m/s", MAX_VELOCITY)?;
+        let keyframes = match kind {
+            "velocity" => Vec::new(),
+            _ => velocity_keyframes(&place)?,
+        };
+        let fastest =
+            keyframes.iter().map(|frame| frame.value).reduce(|a, b| if b.length() > a.length() { b } else { a });
+        let velocity = match fastest {
+            Some(fastest) => fastest,
+            None => bounded(&place, "a velocity in m/s", MAX_VELOCITY)?,
+        };
         place.ensure(
             velocity.length() > MIN_SPEED,
             "is zero or almost zero, so the source emits nothing",
             "write a velocity in m/s, such as [0.0, -1.0, 0.0]",
         )?;
-        return Ok((velocity, None));
+        ensure_same_direction(&place, velocity, &keyframes)?;
+        return Ok(Flow { velocity, flow_rate: None, keyframes });
     }
-    let flow_rate = place.positive("the flow rate in m^3/s")?;
+    let rates = match kind {
+        "flow_rate" => Vec::new(),
+        _ => flow_rate_keyframes(&place)?,
+    };
+    let flow_rate = match rates.iter().map(|(_, rate)| *rate).reduce(f64::max) {
+        Some(largest) => largest,
+        None => place.positive("the flow rate in m^3/s")?,
+    };
     let direction = match (direction, shape) {
         (Some(direction), _) => direction.direction("the direction of the flow")?,
         (None, Shape::Cylinder { axis, .. }) => *axis,
@@ -78,7 +118,45 @@ fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
         format!("results in a speed of {} m/s", rounded(speed)),
         "write a flow rate in m^3/s (a litre per second is 0.001)",
     )?;
-    Ok((speed * direction, Some(flow_rate)))
+    let velocity = speed * direction;
+    let keyframe = |(time, rate): (f64, f64)| VectorKeyframe { time, value: rate / flow_rate * velocity };
+    Ok(Flow { velocity, flow_rate: Some(flow_rate), keyframes: rates.into_iter().map(keyframe).collect() })
+}
+
+fn velocity_keyframes(place: &Place) -> Result<Vec<VectorKeyframe>, Error> {
+    let example = "velocity_keyframes = [{ t = 0, velocity = [0, 0, 0] }, { t = 1, velocity = [0, -1, 0] }]";
+    vector_keyframes(place, (&VELOCITY_KEYFRAME, example), "a velocity in m/s", MAX_VELOCITY)
+}
+
+/// Times (s) and flow rates (m^3/s).
+fn flow_rate_keyframes(place: &Place) -> Result<Vec<(f64, f64)>, Error> {
+    let example = "flow_rate_keyframes = [{ t = 0, flow_rate = 0 }, { t = 1, flow_rate = 0.001 }]";
+    over_time(place, &FLOW_RATE_KEYFRAME, example, |table, time| {
+        let rate = table.required("flow_rate", "flow_rate = 0.001, in m^3/s")?;
+        Ok((
+            time,
+            rate.number_within("the flow rate in m^3/s", 0.0.., "write a flow rate in m^3/s, 0 to close the source")?,
+        ))
+    })
+}
+
+/// Refuses keyframes along another direction than that of the largest velocity: cells and apertures of a source are those of one direction.
+fn ensure_same_direction(place: &Place, largest: DVec3, keyframes: &[VectorKeyframe]) -> Result<(), Error> {
+    let along = largest.normalize();
+    let turns = |frame: &VectorKeyframe| {
+        let speed = frame.value.length();
+        frame.value.distance(frame.value.dot(along).max(0.0) * along) > SAME_DIRECTION * speed
+    };
+    match keyframes.iter().find(|frame| turns(frame)) {
+        Some(frame) => {
+            let [from, to] = [largest, frame.value].map(|v| v.to_array());
+            Err(place.fail(
+                format!("changes the direction: {to:?} m/s at {} s is not along {from:?}", frame.time),
+                "keep one direction, and add a [[source]] of the same shape for each other one",
+            ))
+        }
+        None => Ok(()),
+    }
 }
 
 pub(super) fn sinks(root: &Table, file: &Path, domain: &Domain, liquid: Option<&Liquid>) -> Result<Vec<Sink>, Error> {

@@ -336,12 +336,16 @@ impl GpuLiquid {
     pub(super) fn begin(&mut self, gpu: &Gpu, head: &State, time_step: TimeStep) -> Result<(), Error> {
         self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
-        self.inflow = self.inflow(self.running, time_step.dt);
+        let changed = self.taps.set_velocities(head.time, [head.dt_last, time_step.dt]);
+        self.inflow = self.inflow(&self.taps, self.running, time_step.dt);
         if let Some(sources) = &self.sources {
             let grid = &self.buffers.plan.grid;
             let lattices = self.taps.lattices(grid, head.time, time_step.dt);
             let step = SourceStep::new(self.running, self.n_markers);
             sources.write_step(gpu, step, &lattices);
+            if changed {
+                sources.write_velocities(gpu, grid, &self.taps);
+            }
         }
         if let Some(level) = &self.level {
             let renewed = self.renewed_volume(time_step);
@@ -371,10 +375,10 @@ impl GpuLiquid {
     }
 
     /// Volume that the sources emit beyond their own cells in a sub-step of dt (s), m^3.
-    fn inflow(&self, sources: Running, dt: f64) -> f64 {
+    fn inflow(&self, taps: &SourcesAndSinks, sources: Running, dt: f64) -> f64 {
         match self.level {
-            Some(_) => self.taps.inflows(sources, dt).sum(),
-            None => dt * self.taps.flux(sources.running),
+            Some(_) => taps.inflows(sources, dt).sum(),
+            None => dt * taps.flux(sources.running),
         }
     }
 
@@ -565,7 +569,8 @@ impl GpuLiquid {
     /// Parameters of the sub-step after the state `head`.
     pub(super) fn step_numbers(&self, scene: &Scene, head: &State, time_step: TimeStep) -> Step {
         let TimeStep { dt, control_time, .. } = time_step;
-        let inflow = self.inflow(self.running_after(head), dt);
+        let taps = self.taps.with_velocities(head.time, [head.dt_last, dt]);
+        let inflow = self.inflow(&taps, self.running_after(head), dt);
         let domain = &scene.domain;
         let (grid, effects) = (scene.grid(), &self.buffers.plan.effects);
         Step {

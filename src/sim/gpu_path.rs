@@ -317,7 +317,7 @@ impl GpuPath {
         let pushing = self.solids.iter();
         let pushing = pushing.map(|solids| solids.obstacle_speed(self.head.time, left));
         let sources = self.liquid.iter();
-        let sources = sources.map(|liquid| liquid.taps.speed(self.head.time, time.cfl));
+        let sources = sources.map(|liquid| liquid.taps.speed(self.head.time, [self.head.dt_last, left], time.cfl));
         // Later keyframes of scripts are included in the velocities of their nodes.
         let scripts = self.solids.iter().filter(|_| self.head.step == 0);
         let scripts = scripts.map(|of| of.solids.max_script_speed(self.head.time, left));
@@ -407,6 +407,11 @@ impl GpuPath {
     /// Time, sub-step and frame.
     pub fn clock(&self) -> Clock {
         Clock::of(&self.head)
+    }
+
+    /// Length of the last sub-step, s; 0 before the first.
+    pub fn last_step(&self) -> f64 {
+        self.head.dt_last
     }
 
     /// Number of cells in the narrow band of the last sub-step.

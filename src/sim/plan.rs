@@ -212,8 +212,8 @@ fn first_step(scene: &Scene, (solids, obstacles, taps): (&Solids, Option<&Obstac
     let (_, velocity) = solids.initial_state(scene);
     let nodes = velocity.as_flattened().iter();
     let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));
-    let source_speed = taps.speed(0.0, scene.time.cfl);
     let frame = 1.0 / scene.time.frames_per_second;
+    let source_speed = taps.speed(0.0, [0.0, frame], scene.time.cfl);
     let obstacle_speed = obstacles.map_or(0.0, |cut| cut.max_speed(0.0, frame));
     let speed = liquid_speed.max(solid_speed);
     let speed = speed.max(obstacle_speed).max(source_speed);

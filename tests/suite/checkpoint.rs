@@ -151,6 +151,12 @@ end = 0.26
 box = { min = [0.0, 0.5, 0.0], max = [0.1, 1.0, 0.5] }
 "#;
 
+/// Speeds that change at the checkpoint, and before and after it.
+const SPEEDS: &str = r#"[[source]]
+box = { min = [0.6, 0.7, 0.1], max = [0.8, 0.9, 0.3] }
+velocity_keyframes = [{ t = 0.05, velocity = [0, 0, 0] }, { t = 0.2, velocity = [0, -1, 0] }, { t = 0.3, velocity = [0, -0.2, 0] }]
+"#;
+
 /// What a run goes on from is all there is: steps and sub-steps are the same to the bit, with or without an end in between.
 fn goes_on(name: &str, scene: &Scene, backend: &Backend, steps: [usize; 2]) {
     let folder = tempfile::tempdir().unwrap();
@@ -199,6 +205,12 @@ fn cases() -> Vec<(&'static str, Scene, [usize; 2])> {
             "level with a source, a sink and an open side",
             scene(&format!("{DAM}{FLOWS}"), &["liquid.surface=level", "domain.open=[\"+x\"]", "time.duration=0.6"]),
             [20, 10],
+        ),
+        ("markers, a source over time", scene(&format!("{DAM}{SPEEDS}"), &["time.duration=0.6"]), [14, 8]),
+        (
+            "level, a source over time",
+            scene(&format!("{DAM}{SPEEDS}"), &["liquid.surface=level", "time.duration=0.6"]),
+            [14, 8],
         ),
     ]
 }

@@ -45,6 +45,11 @@ fn small_scenes_pass() {
         "without domain.gravity",
         "domain.gravity_keyframes=[{ t = 0, gravity = [0, -9.81, 0] }, { t = 0.1, gravity = [4, -6, 1] }]",
     ];
+    let pulsing = [
+        "without source[0].velocity",
+        "source[0].velocity_keyframes=[{ t = 0, velocity = [0, 1, 0] }, { t = 0.03, velocity = [0, 3, 0] }, \
+         { t = 0.06, velocity = [0, 0, 0] }, { t = 0.09, velocity = [0, 0, 0] }, { t = 0.1, velocity = [0, 2, 0] }]",
+    ];
     for (scene, frames) in [
         (scene("dam_break_liquid", 0.25, &[]), 2),
         (scene("dam_break_liquid", 0.25, &["liquid.surface=level"]), 2),
@@ -55,6 +60,8 @@ fn small_scenes_pass() {
         (scene("hydrostatic_block", 0.5, &full), 1),
         // Elastic forces are large beside the velocities: without f64 their rounding shows.
         (scene("compressibility", 0.2, &[]), 1),
+        (scene("fountain", 0.25, &pulsing), 3),
+        (scene("fountain", 0.25, &[&pulsing[..], &["liquid.surface=markers"]].concat()), 3),
         (scene("draining_tank", 0.25, &turning), 2),
         (scene("compressibility", 0.2, &turning[1..]), 2),
     ] {

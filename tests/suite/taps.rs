@@ -4,10 +4,11 @@ use std::f64::consts::PI;
 use std::path::Path;
 
 use cutwater::Error;
+use cutwater::geometry::{SourcesAndSinks, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
-use cutwater::scene::Scene;
+use cutwater::scene::{Scene, VectorKeyframe};
 use cutwater::sim::{Backend, Plan, Simulation};
-use cutwater::state::{Exchange, SolveStatus, StepReport};
+use cutwater::state::{Exchange, SolveStatus, State, StepReport};
 
 use crate::common::gpu;
 
@@ -66,6 +67,62 @@ fn what_is_no_source_or_sink_is_refused() {
         (source("velocity = [0, 1]"), 11, "source[0].velocity", "a list of 3"),
         (source("velocity = [0, 1, 0]\nstart = -1.0"), 12, "source[0].start", "0 s or later"),
         (source("velocity = [0, 1, 0]\nstart = 2.0\nend = 2.0"), 13, "source[0].end", "after the start"),
+        (
+            source("velocity = [0, 1, 0]\nvelocity_keyframes = [{ t = 0, velocity = [0, 1, 0] }]"),
+            9,
+            "source[0]",
+            "keep one velocity or flow rate",
+        ),
+        (source("velocity_keyframes = []"), 11, "source[0].velocity_keyframes", "write velocity_keyframes = [{ t = 0"),
+        (
+            source("velocity_keyframes = [{ t = 0, velocity = [0, 1, 0] }, { t = 0, velocity = [0, 2, 0] }]"),
+            11,
+            "source[0].velocity_keyframes[1].t",
+            "ascending order",
+        ),
+        (
+            source("velocity_keyframes = [{ t = 0, velocity = [0, 1] }]"),
+            11,
+            "source[0].velocity_keyframes[0].velocity",
+            "a list of 3",
+        ),
+        (source("velocity_keyframes = [{ t = 0 }]"), 11, "source[0].velocity_keyframes[0]", "velocity = [0, -1, 0]"),
+        (
+            source("velocity_keyframes = [{ t = 0, velocity = [0, 0, 0] }]"),
+            11,
+            "source[0].velocity_keyframes",
+            "emits nothing",
+        ),
+        (
+            source("velocity_keyframes = [{ t = 0, velocity = [0, 2, 0] }, { t = 1, velocity = [0, -1, 0] }]"),
+            11,
+            "source[0].velocity_keyframes",
+            "[0.0, -1.0, 0.0] m/s at 1 s is not along [0.0, 2.0, 0.0]\n  cure: keep one direction",
+        ),
+        (
+            source("velocity_keyframes = [{ t = 0, velocity = [0, 2, 0] }]\ndirection = [0, 1, 0]"),
+            12,
+            "source[0].direction",
+            "flow_rate = 0.001",
+        ),
+        (
+            source("flow_rate_keyframes = [{ t = 0, flow_rate = -1 }]\ndirection = [0, 1, 0]"),
+            11,
+            "source[0].flow_rate_keyframes[0].flow_rate",
+            "0 to close the source",
+        ),
+        (
+            source("flow_rate_keyframes = [{ t = 0, flow_rate = 0 }]\ndirection = [0, 1, 0]"),
+            11,
+            "source[0].flow_rate_keyframes",
+            "a litre per second is 0.001",
+        ),
+        (
+            source("flow_rate_keyframes = [{ t = 0, flow_rate = 0.001 }]"),
+            9,
+            "source[0].direction",
+            "direction = [0, -1, 0]",
+        ),
         (source("velocity = [0, 1, 0]\nspeed = 2.0"), 12, "source[0].speed", "unknown key"),
         (format!("{liquid}[[source]]\nvelocity = [0, 1, 0]\n"), 9, "source[0]", "box, sphere, cylinder"),
         (
@@ -252,6 +309,94 @@ fn sources_keep_their_times() {
     let after = run(&mut simulation, 18, |_| {});
     assert_eq!((after.emitted, after.volume_emitted), (0, 0.0));
     assert!(simulation.state().unwrap().sources_running == 0);
+}
+
+/// Up to 1 m/s and down again in half a second, off for a quarter, and on again. Keyframes are on frame times, where sub-steps end.
+const PULSES: &str = "velocity_keyframes = [{ t = 0, velocity = [0, 0, 0] }, { t = 0.25, velocity = [0, -1, 0] }, \
+                      { t = 0.5, velocity = [0, 0, 0] }, { t = 0.75, velocity = [0, 0, 0] }, { t = 1, velocity = [0, -1, 0] }]\n";
+
+fn pulsing(surface: &str) -> Scene {
+    let shape = TAP.split("velocity").next().unwrap();
+    parse(&format!("[liquid]\nsurface = \"{surface}\"\n{POOL}{shape}{PULSES}")).unwrap()
+}
+
+/// The integral of the flow, and the volume of the source at each start.
+#[test]
+fn a_source_over_time_emits_the_integral_of_its_flow() {
+    let Some(_) = gpu() else { return };
+    let scene = pulsing("markers");
+    let area = 0.125 * 0.125;
+    for backend in [Backend::Cpu, Backend::Gpu(AdapterChoice::Best)] {
+        let mut simulation = Simulation::new(&scene, &backend).unwrap();
+        let pulse = run(&mut simulation, 12, |_| {});
+        let expected = 0.125 * area + 0.25 * area;
+        assert!((pulse.volume_emitted / expected - 1.0).abs() < 1e-9, "{pulse:?}");
+        let before = simulation.state().unwrap();
+        let pause = run(&mut simulation, 18, |_| {});
+        assert_eq!((pause.emitted, pause.volume_emitted), (0, 0.0));
+        let after = simulation.state().unwrap();
+        assert_eq!((after.volume_0, after.sources_running), (before.volume_0, 0));
+        // What has not fallen out of the source is not filled again.
+        let again = run(&mut simulation, 21, |_| {});
+        let filled = again.volume_emitted - 0.125 * 0.5 * 0.5 * area;
+        assert!((0.5 * 0.125 * area..=1.0 * 0.125 * area).contains(&filled), "{filled} m^3");
+        assert!(simulation.state().unwrap().volume_0 > after.volume_0);
+    }
+}
+
+/// A level moves with the velocity of the last sub-step: the volume that it exchanges is that of this velocity.
+#[test]
+fn a_level_over_time_emits_what_it_moves() {
+    let Some(_) = gpu() else { return };
+    let scene = pulsing("level");
+    let speed = |times| VectorKeyframe::mean(&scene.sources[0].keyframes, times).length();
+    for backend in [Backend::Cpu, Backend::Gpu(AdapterChoice::Best)] {
+        let mut simulation = Simulation::new(&scene, &backend).unwrap();
+        let mut before = simulation.step().unwrap().dt;
+        let start = simulation.state().unwrap().volume_0;
+        let (mut expected, mut time) = (0.0, simulation.clock().time);
+        while simulation.clock().frame < 10 {
+            let report = simulation.step().unwrap();
+            expected += report.dt * 0.125 * 0.125 * speed([time - before, time]);
+            (before, time) = (report.dt, simulation.clock().time);
+        }
+        let state = simulation.state().unwrap();
+        let emitted = state.volume_0 - start;
+        // On the device volumes are multiples of 2^-23 cells, and their sums over the components in single precision.
+        assert!((emitted / expected - 1.0).abs() < 1e-4, "{emitted} m^3, {expected} m^3");
+        let volume = state.markers.len() as f64 * scene.grid().cell_volume() / 8.0;
+        assert!(volume > 0.0 && state.sources_running == 1);
+    }
+}
+
+/// A flow rate over time has its largest value in `plan`, and fractions of that later.
+#[test]
+fn a_flow_rate_over_time_has_its_fractions() {
+    let shape = "[liquid]\n[[source]]\nbox = { min = [0.125, 0.375, 0.0625], max = [0.25, 0.5, 0.1875] }\n";
+    let text = "flow_rate_keyframes = [{ t = 0.1, flow_rate = 0.001 }, { t = 0.2, flow_rate = 0.004 }, { t = 0.4, flow_rate = 0 }]\n\
+                direction = [0, -1, 0]\n";
+    let scene = parse(&format!("{shape}{text}")).unwrap();
+    let grid = scene.grid();
+    let cut = obstacle_cut(&scene, &grid).unwrap().cut;
+    let mut taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
+    let flow = Plan::new(&scene, None).unwrap().sources[0];
+    assert!((flow.flow_rate / 0.004 - 1.0).abs() < 1e-12 && (flow.velocity.length() / 0.256 - 1.0).abs() < 1e-12);
+    let running = |taps: &SourcesAndSinks, time| taps.running(&State { time, ..State::default() }, 0).running == 1;
+    for (time, dt, rate) in [(0.0, 0.1, 0.001), (0.1, 0.1, 0.0025), (0.15, 0.1, 0.003375), (0.3, 0.1, 0.001)] {
+        assert!(running(&taps, time) && taps.set_velocities(time, [0.05, dt]));
+        let flux = taps.flux(1);
+        assert!((flux / rate - 1.0).abs() < 1e-12, "{flux} m^3/s from {time} s on");
+        let into_cells: f64 = taps.boundary_flux(&grid, None, 1).iter().map(|(_, flux)| -flux).sum();
+        assert!((into_cells / rate - 1.0).abs() < 1e-12);
+    }
+    assert!(!running(&taps, 0.4) && running(&taps, 0.39));
+    // The fastest from the beginning of the last sub-step to the end of the frame: 4 cells are thicker than the CFL condition has.
+    for (time, times, speed) in
+        [(0.0, [0.0, 0.1], 0.064), (0.0, [0.0, 0.5], 0.256), (0.3, [0.05, 0.1], 0.192), (0.5, [0.05, 0.1], 0.0)]
+    {
+        let of = taps.speed(time, times, 3.0);
+        assert!((of - speed).abs() < 1e-12, "{of} m/s from {time} s on");
+    }
 }
 
 /// Liquid that fills its vessel takes no more: a source in it asks for what cannot be, on both paths, and where there is air again it does not.
@@ -448,6 +593,7 @@ fn taps_take_room_and_kernels_only_where_they_are() {
         Plan::new(&parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{rest}")).unwrap(), None).unwrap()
     };
     let [none, source, drain] = ["", TAP, sink].map(plan);
+    let pulses = Plan::new(&pulsing("markers"), None).unwrap();
     for (plan, sources, sinks) in [(&none, false, false), (&source, true, false), (&drain, false, true)] {
         let has = |label: &str| plan.buffers.iter().any(|buffer| buffer.label.starts_with(label));
         assert_eq!([has("sources."), has("sinks.")], [sources, sinks]);
@@ -464,4 +610,9 @@ fn taps_take_room_and_kernels_only_where_they_are() {
     let markers = |plan: &Plan| plan.buffers.iter().find(|b| b.label == "liquid.markers").unwrap().len;
     let room = 8 * (2 * 64 + (1.25 * 32f64.powi(3) / 64.0) as usize);
     assert_eq!(markers(&source), markers(&none) + room);
+    // 0.375 s of that, and the source's cells thrice. Nothing else is larger.
+    let room = 8 * (3 * 64 + (1.25 * 0.375 * 32f64.powi(3) / 64.0) as usize);
+    assert_eq!(markers(&pulses), markers(&none) + room);
+    let kernels = |plan: &Plan| plan.stages.iter().flat_map(|stage| stage.kernels.clone()).collect::<Vec<_>>();
+    assert_eq!(kernels(&pulses), kernels(&source));
 }

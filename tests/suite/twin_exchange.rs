@@ -5,7 +5,7 @@ use cutwater::geometry::{CutCells, MARKERS_PER_CELL, Running, SourcesAndSinks, o
 use cutwater::gpu::{Gpu, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference;
-use cutwater::scene::Scene;
+use cutwater::scene::{Scene, VectorKeyframe};
 use glam::DVec3;
 
 use crate::common::{Random, far_below, gpu, surface};
@@ -243,9 +243,10 @@ fn a_source_emits_its_velocity_times_its_area() {
     assert_eq!(held(Axis::Z, [4, 5, 7]), Some(0.0));
     assert_eq!(held(Axis::Y, [4, 4, 4]), Some(0.0));
     // Three cells thick along x: with cfl 3 as fast as it is, with 6 sub-steps are shorter.
-    assert!((taps.speed(0.6, 3.0) - 2.0).abs() < 1e-12);
-    assert!((taps.speed(0.6, 6.0) - 4.0).abs() < 1e-12);
-    assert!((taps.speed(0.1, 6.0) - 18.0).abs() < 1e-12, "{}", taps.speed(0.1, 6.0));
+    let speed = |time, cfl| taps.speed(time, [0.0, 0.04], cfl);
+    assert!((speed(0.6, 3.0) - 2.0).abs() < 1e-12);
+    assert!((speed(0.6, 6.0) - 4.0).abs() < 1e-12);
+    assert!((speed(0.1, 6.0) - 18.0).abs() < 1e-12, "{}", speed(0.1, 6.0));
 }
 
 /// With a level a jet has the same markers for all lengths of the sub-steps, and the density of liquid.
@@ -288,6 +289,42 @@ fn the_markers_of_a_jet_do_not_depend_on_the_sub_steps() {
     let layers = (end - 0.1) / 0.05;
     let off = long.len() as f64 / (8.0 * 7.0) - layers;
     assert!(off.abs() <= 1.0, "{off} layers");
+}
+
+/// With a velocity over time too: lattice and liquid move alike but for the changes of the displacement from one sub-step to the next. Sites
+/// in these are there or not at random.
+#[test]
+fn the_markers_of_a_jet_over_time_have_the_density_of_liquid() {
+    let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [10, 10, 10]\n[time]\nduration = 1.0\n[liquid]\nsurface = \"level\"\n\
+                [[source]]\nbox = { min = [0.1, 0.3, 0.3], max = [0.3, 0.7, 0.65] }\n\
+                velocity_keyframes = [{ t = 0, velocity = [0.5, 0, 0] }, { t = 0.1, velocity = [2, 0, 0] }, { t = 0.4, velocity = [0.1, 0, 0] }]\n";
+    let scene = Scene::parse(std::path::Path::new("jet.toml"), text, &[], 1.0).unwrap();
+    let grid = scene.grid();
+    let cut = obstacle_cut(&scene, &grid).unwrap().cut;
+    let mut taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
+    let speed = |times| VectorKeyframe::mean(&scene.sources[0].keyframes, times).x;
+    for n_steps in [4, 8, 32, 256] {
+        let dt = 0.4 / n_steps as f64;
+        let mut markers: Vec<[f64; 3]> = Vec::new();
+        let (mut moved, mut changes) = (0.0, 0.0);
+        for step in 0..n_steps {
+            let time = step as f64 * dt;
+            let dt_last = if step == 0 { 0.0 } else { dt };
+            taps.set_velocities(time, [dt_last, dt]);
+            let running = Running { running: 1, starting: u32::from(step == 0), seed: 17, step: step as u32 };
+            let lattices = taps.lattices(&grid, time, dt);
+            reference::emit_markers(&grid, &taps, running, &lattices, &cut.solid_distance, &mut markers);
+            if step > 0 {
+                let before = dt * speed([time - dt, time]);
+                moved += before;
+                changes += (before - dt * speed([time, time + dt])).abs();
+            }
+        }
+        let (layers, changes) = ((0.2 + moved) / 0.05, changes / 0.05);
+        let off = markers.len() as f64 / (8.0 * 7.0) - layers;
+        // A layer at the ends, and three standard deviations of 56 sites.
+        assert!(off.abs() <= 1.0 + 3.0 * (changes / 56.0).sqrt(), "{n_steps}: {off} layers of {layers}");
+    }
 }
 
 /// A body that has come into a source: cells with their centre in it get nothing. In the others what it puts out stays beside it, so they

@@ -140,6 +140,7 @@ impl<'a> LiquidComparison<'a> {
         if let Some((_, running)) = path.taps() {
             self.running = running;
             let (grid, dt) = (self.scene.grid(), time_step.dt);
+            self.taps.set_velocities(path.clock().time, [path.last_step(), dt]);
             self.lattices = self.taps.lattices(&grid, path.clock().time, dt);
             let inflow: f64 = self.taps.inflows(running, dt).sum();
             if Effects::of(self.scene).open_sides {
@@ -395,13 +396,14 @@ impl<'a> LiquidComparison<'a> {
         corners.map(move |corner| ballistic.off_by(near * corner))
     }
 
-    /// One product and one sum.
+    /// One product and one sum; on faces of sources one rounding.
     fn forces(&mut self, after: &LiquidSnapshot) {
         let mut twin = self.before.velocity_next.clone();
         let (gravity, dt) = (self.gravity(), self.dt());
-        let bound = EPS * (2.0 * dt * gravity.abs().max_element() + reference::max_speed(&twin));
+        let before = reference::max_speed(&twin);
         reference::forces(&mut twin, gravity, dt);
         reference::hold_faces(&self.taps, &self.cut.open, self.running.running, &mut twin);
+        let bound = EPS * (2.0 * dt * gravity.abs().max_element() + before.max(reference::max_speed(&twin)));
         self.add_band_faces(after, &twin, |_, _| bound);
     }
 
