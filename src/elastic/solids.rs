@@ -9,6 +9,7 @@ use super::{
 };
 use crate::error::{Error, rounded};
 use crate::geometry::{MovedMesh, TetMesh, bounds, deepest_obstacle, inside};
+use crate::grid::{Axis, Sides};
 use crate::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
 
 /// Distance of nodes from a straight hinge, relative to its length.
@@ -22,6 +23,7 @@ impl Solids {
     /// a shape without centre.
     pub fn new(scene: &Scene, meshes: &[TetMesh]) -> Result<Solids, Error> {
         let mut solids = Solids::from_solids(&scene.solids, meshes, &|key| scene.at(key))?;
+        solids.constrain_to_symmetry(scene)?;
         solids.find_probed(scene)?;
         Ok(solids)
     }
@@ -84,6 +86,41 @@ impl Solids {
         self.load.clone_from(&self.constant_load);
         self.set_load([0.0; 2]);
         self.bodies.push(body);
+        Ok(())
+    }
+
+    /// Constrains the nodes on planes of symmetry: they roll along them.
+    fn constrain_to_symmetry(&mut self, scene: &Scene) -> Result<(), Error> {
+        let (planes, size) = (scene.domain.symmetry, scene.domain.size);
+        let slack = WALL_TOLERANCE * size.max_element();
+        for (axis, side) in Axis::ALL.into_iter().flat_map(|axis| [(axis, 0), (axis, 1)]) {
+            if !planes.has(axis, side) {
+                continue;
+            }
+            let axis = axis.index();
+            let name = Sides::NAMES[2 * axis + side];
+            let on_plane = |x: DVec3| (x[axis] - [0.0, size[axis]][side]).abs() <= slack;
+            for (number, (body, solid)) in self.bodies.iter().zip(&scene.solids).enumerate() {
+                let nodes: Vec<usize> = body.nodes.clone().filter(|&node| on_plane(self.rest[node])).collect();
+                let refused = |key: &str, problem: String| {
+                    let cure = format!("let the nodes on the side {name} stay there, or move the solid away from it");
+                    Err(Error::input(scene.at(&format!("solid[{number}].{key}")), problem, cure))
+                };
+                if let Some(key) = solid.initial.moves_along(axis).filter(|_| !nodes.is_empty()) {
+                    return refused(key, format!("moves nodes off the plane of symmetry {name}"));
+                }
+                let leaves = |script: &Script| {
+                    let on_plane = nodes.iter().any(|&node| script.nodes.binary_search(&(node as u32)).is_ok());
+                    on_plane && script.components[axis] && script.keyframes.iter().any(|frame| frame.moves_along(axis))
+                };
+                if self.scripts.iter().any(leaves) {
+                    return refused("script", format!("moves nodes off the plane of symmetry {name}"));
+                }
+                for node in nodes {
+                    self.prescribed[node][axis] = true;
+                }
+            }
+        }
         Ok(())
     }
 

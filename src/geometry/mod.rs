@@ -40,6 +40,7 @@ mod solitary;
 mod sources_sinks;
 mod stl;
 mod surface;
+mod symmetry;
 
 mod tet_fill;
 mod tet_mesh;

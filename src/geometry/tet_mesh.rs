@@ -5,9 +5,10 @@ use glam::DVec3;
 use super::disjoint_sets::DisjointSets;
 use super::placing::{ensure_size, read_surface};
 use super::surface::{Fault, bounds, is_near};
+use super::symmetry::cut_by_symmetry;
 use super::{tet_fill, tet_read, tet_shapes};
 use crate::error::Error;
-use crate::scene::{Scene, Solid, SolidMesh};
+use crate::scene::{Domain, Scene, Solid, SolidMesh};
 
 /// Linear tetrahedra with det \[x1 - x0, x2 - x0, x3 - x0\] > 0. Every node belongs to an element.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,7 +35,7 @@ pub struct ElementShape {
 }
 
 /// Faces of an element by the opposite corner, counter-clockwise seen from outside.
-const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+pub(super) const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// Least volume relative to the cube of the longest edge: smaller ones are rounding of positions.
 const FLAT: f64 = 1e-12;
@@ -48,7 +49,7 @@ pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
     solids
         .map(|(number, solid)| {
             let what = scene.at(&format!("solid[{number}]"));
-            TetMesh::within(solid, &what, Some(scene.domain.size))
+            TetMesh::within(solid, &what, Some(&scene.domain))
         })
         .collect()
 }
@@ -86,10 +87,10 @@ impl TetMesh {
         TetMesh::within(solid, what, None)
     }
 
-    /// The mesh in a domain of this size (m). Refuses a file far larger than the domain before filling it.
-    fn within(solid: &Solid, what: &str, domain: Option<DVec3>) -> Result<TetMesh, Error> {
+    /// The mesh in a domain, cut by its planes of symmetry. Refuses a file far larger than the domain before filling it.
+    fn within(solid: &Solid, what: &str, domain: Option<&Domain>) -> Result<TetMesh, Error> {
         let sized = |bounds: [DVec3; 2]| match domain {
-            Some(size) => ensure_size(bounds, &solid.placement, what, size),
+            Some(domain) => ensure_size(bounds, &solid.placement, what, domain.size),
             None => Ok(()),
         };
         let mut centre = DVec3::ZERO;
@@ -120,12 +121,28 @@ impl TetMesh {
         for x in &mut mesh.nodes {
             *x = solid.stretch * placement.put(*x, centre);
         }
-        if let Some(size) = domain {
-            ensure_across(solid, mesh.bounds(), what, size)?;
+        if let Some(domain) = domain {
+            ensure_across(solid, mesh.bounds(), what, domain.size)?;
         }
-        match mesh.fault() {
+        if let Some(fault) = mesh.fault() {
+            return Err(error(fault));
+        }
+        let Some(Domain { symmetry, size, .. }) = domain.filter(|domain| domain.symmetry.any()) else {
+            return Ok(mesh);
+        };
+        let cut = cut_by_symmetry(mesh, *symmetry, *size);
+        match cut.fault() {
+            _ if cut.elements.is_empty() => {
+                let names = symmetry.names().collect::<Vec<_>>().join(", ");
+                let problem = format!("lies beyond a plane of symmetry ({names})");
+                Err(Error::input(
+                    what,
+                    problem,
+                    "move it into the domain with placement.at, the position of its centre",
+                ))
+            }
             Some(fault) => Err(error(fault)),
-            None => Ok(mesh),
+            None => Ok(cut),
         }
     }
 

@@ -93,6 +93,8 @@ pub struct Domain {
     pub gravity_keyframes: Vec<VectorKeyframe>,
     /// Sides through which liquid leaves, with pressure 0.
     pub open: Sides,
+    /// Sides that are planes of symmetry: solids are cut there.
+    pub symmetry: Sides,
     /// Plane problem, if it is one.
     pub slab: Option<Slab>,
     /// Coefficient of friction of the walls; default 0.
@@ -461,6 +463,21 @@ pub struct Initial {
     pub velocity_gradient: [DVec3; 3],
 }
 
+impl Initial {
+    /// The first key that moves nodes along an axis that they may not leave.
+    pub(crate) fn moves_along(&self, axis: usize) -> Option<&'static str> {
+        let gradient = self.velocity_gradient[axis] != DVec3::ZERO;
+        let turns = (DVec3::ONE - DVec3::AXES[axis]) * self.spin != DVec3::ZERO;
+        let keys = [
+            (self.velocity[axis] != 0.0, "initial.velocity"),
+            (turns, "initial.spin"),
+            (gradient, "initial.velocity_gradient"),
+            (self.scale[axis] != 1.0, "initial.scale"),
+        ];
+        keys.into_iter().find_map(|(moves, key)| moves.then_some(key))
+    }
+}
+
 impl Default for Initial {
     /// At rest.
     fn default() -> Initial {
@@ -514,7 +531,16 @@ pub struct Acceleration {
     pub size: f64,
 }
 
+/// Largest part of a rotation about another axis, rad.
+const ROUNDED_TURN: f64 = 1e-9;
+
 impl Keyframe {
+    /// Whether it moves points along an axis.
+    pub(crate) fn moves_along(&self, axis: usize) -> bool {
+        let turn = self.angle * self.axis;
+        self.translate[axis] != 0.0 || turn.reject_from_normalized(DVec3::AXES[axis]).length() > ROUNDED_TURN
+    }
+
     /// Rotation vector (axis times angle, rad) and translation (m) at a time (s) of at least one keyframe.
     pub fn pose(keyframes: &[Keyframe], time: f64) -> (DVec3, DVec3) {
         let after = keyframes.partition_point(|frame| frame.time <= time);
@@ -631,6 +657,8 @@ pub struct Source {
     pub velocity: DVec3,
     /// Flow rate, m^3/s, whatever part of the source is covered by walls; `None` with a given velocity. With keyframes the largest.
     pub flow_rate: Option<f64>,
+    /// Velocity over time, ascending, all along `velocity` and none larger; empty if it is constant.
+    pub keyframes: Vec<VectorKeyframe>,
     /// Start time, s; default 0.
     pub start: f64,
     /// End time, s; default infinity.
@@ -657,8 +685,6 @@ impl Probe {
     /// Columns in probes.csv: the name, with `_x`, `_y`, `_z` for vectors and `_volume` for a solid.
     pub fn columns(&self) -> Vec<String> {
         let endings: &[&str] = match self.kind {
-    /// Velocity over time, ascending, all along `velocity` and none larger; empty if it is constant.
-    pub keyframes: Vec<VectorKeyframe>,
             ProbeKind::Height { .. }
             | ProbeKind::Pressure { .. }
             | ProbeKind::Front { .. }

@@ -53,7 +53,8 @@ const WHOLE_STEPS: f64 = 1e-6;
 const ROOT: Keys = Keys::new(&[
     "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver", "output", "camera", "surface",
 ]);
-const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "gravity_keyframes", "open", "slab", "friction"]);
+const DOMAIN: Keys =
+    Keys::new(&["size", "cells", "gravity", "gravity_keyframes", "open", "symmetry", "slab", "friction"]);
 const GRAVITY_KEYFRAME: Keys = Keys::new(&["t", "gravity"]);
 const TIME: Keys = Keys::new(&["duration", "frames_per_second", "cfl", "max_step", "fixed_step"]);
 const LIQUID: Keys =
@@ -391,7 +392,19 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     let gravity = first.map_or(DVec3::new(0.0, -9.81, 0.0), |frame| frame.value);
     let gravity = table.optional("gravity", gravity, |place| bounded(&place, "gravity in m/s^2", MAX_GRAVITY))?;
     let open = table.optional("open", Sides::default(), |place| open_sides(&place, root))?;
-    Ok(Domain { size, cells, gravity, gravity_keyframes, open, slab, friction: friction(&table)? })
+    let symmetry = table.optional("symmetry", Sides::default(), |place| symmetry(&place, open, across))?;
+    let domain = Domain { size, cells, gravity, gravity_keyframes, open, symmetry, slab, friction: friction(&table)? };
+    let across = |axis: &Axis| {
+        let plane = (0..2).any(|side| symmetry.has(*axis, side));
+        plane && domain.largest_gravity()[axis.index()] != 0.0
+    };
+    if let (Some(place), Some(_)) = (table.get("symmetry"), Axis::ALL.iter().find(|axis| across(axis))) {
+        return Err(place.fail(
+            "gravity points across a plane of symmetry, so its two sides differ",
+            "remove the side, or let gravity point along it",
+        ));
+    }
+    Ok(domain)
 }
 
 /// Whether a wall, an obstacle or a solid has friction.
@@ -429,19 +442,40 @@ fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
     let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
     let expected = format!("a list, such as [\"+x\"], of any of {}", Sides::NAMES.join(", "));
     let entries = place.list().map_err(|_| place.wrong_type(&expected))?;
-    let mut open = Sides::default();
+    let mut sides = Sides::default();
     for entry in entries {
         let (axis, side) = entry.choice(&choices)?;
-        let twice = open.has(axis, side);
-        entry.ensure(!twice, "names a side for the second time", "remove it")?;
-        open = open.with(axis, side);
-    }
+    let open = sides(place)?;
     place.ensure(
         !open.any() || root.get("liquid").is_some(),
         "opens sides for liquid, and the scene has none",
         "remove `open`, or add a [liquid] section with a region",
     )?;
     Ok(open)
+}
+
+/// The planes of symmetry of a domain with these open sides and perhaps an axis across a slab.
+fn symmetry(place: &Place, open: Sides, across: Option<usize>) -> Result<Sides, Error> {
+    let planes = sides(place)?;
+    for axis in Axis::ALL {
+        let both = (0..2).any(|side| planes.has(axis, side) && open.has(axis, side));
+        place.ensure(
+            !both,
+            "names an open side: nothing flows through a plane of symmetry",
+            "remove it here or in domain.open",
+        )?;
+        let slab = (0..2).any(|side| planes.has(axis, side)) && across == Some(axis.index());
+        place.ensure(!slab, "names a wall of the slab, which is a plane of symmetry already", "remove it")?;
+    }
+    Ok(planes)
+}
+
+fn sides(place: &Place) -> Result<Sides, Error> {
+        let twice = sides.has(axis, side);
+        entry.ensure(!twice, "names a side for the second time", "remove it")?;
+        sides = sides.with(axis, side);
+    }
+    Ok(sides)
 }
 
 /// A density; `usual` is an example.

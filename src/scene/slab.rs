@@ -140,19 +140,8 @@ pub(super) fn stretch(scene: &mut Scene) -> Result<(), Error> {
             SolidMesh::File { .. } | SolidMesh::Surface { .. } => {}
         }
         let initial = &solid.initial;
-        let varies = initial
-            .velocity_gradient
-            .iter()
-            .enumerate()
-            .any(|(row, gradient)| gradient[axis] != 0.0 || row == axis && *gradient != DVec3::ZERO);
-        let of_plane = (DVec3::ONE - DVec3::AXES[axis]) * initial.spin;
-        let initial = [
-            (initial.velocity[axis] != 0.0, "initial.velocity"),
-            (of_plane != DVec3::ZERO, "initial.spin"),
-            (varies, "initial.velocity_gradient"),
-            (initial.scale[axis] != 1.0, "initial.scale"),
-        ];
-        if let Some((_, key)) = initial.iter().find(|(moves, _)| *moves) {
+        let varies = initial.velocity_gradient.iter().any(|gradient| gradient[axis] != 0.0);
+        if let Some(key) = initial.moves_along(axis).or(varies.then_some("initial.velocity_gradient")) {
             let cure =
                 format!("let the body move and deform in the plane only, which the rollers allow, not along {name}");
             return Err(at([format!("{key} moves it out of the plane of the slab"), cure]));
@@ -273,11 +262,7 @@ fn placement(Slab { axis, stretch }: Slab, placement: &mut Placement) -> Result<
 
 /// Refuses a motion out of the plane.
 fn keyframes(Slab { axis, .. }: Slab, keyframes: &[Keyframe]) -> Result<(), Refusal> {
-    let leaves = |frame: &Keyframe| {
-        let turn = frame.angle * frame.axis;
-        frame.translate[axis] != 0.0 || turn.reject_from_normalized(DVec3::AXES[axis]).length() > TOLERANCE
-    };
-    if keyframes.iter().any(leaves) {
+    if keyframes.iter().any(|frame| frame.moves_along(axis)) {
         let name = ["x", "y", "z"][axis];
         return Err([
             "its keyframes move it out of the plane".to_owned(),

@@ -10,6 +10,7 @@ use super::read::{MAX_VELOCITY, bounded, density, friction, list, unique_name};
 use super::shape::{keyframes, mesh_file, placement, shape, surface_file, unit, vector_keyframes};
 use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
 use crate::error::Error;
+use crate::grid::Axis;
 
 /// Most bricks of a box, and most cells in the cube around a ball: six tetrahedra in each can be numbered with 32 bits.
 const MAX_CELLS: f64 = (1u64 << 22) as f64;
@@ -284,7 +285,8 @@ fn ensure_inside(
     let (low, high) = (placement.translate - half, placement.translate + half);
     let slack = WALL_TOLERANCE * domain.size.max_element();
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-        if low[axis] < -slack || high[axis] > domain.size[axis] + slack {
+        let [cut_low, cut_high] = [0, 1].map(|side| domain.symmetry.has(Axis::ALL[axis], side));
+        if low[axis] < -slack && !cut_low || high[axis] > domain.size[axis] + slack && !cut_high {
             let problem = format!(
                 "sticks out of the domain: along {name} it extends from {} to {} m, the domain from 0 to {} m",
                 low[axis], high[axis], domain.size[axis]

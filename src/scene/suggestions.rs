@@ -7,6 +7,7 @@ const KEYS: &[(&str, &str)] = &[
     ("dimensions extent extents lengths", "size"),
     ("g", "gravity"),
     ("outlet outflow boundary boundaries", "open"),
+    ("mirror mirrors symmetry_plane symmetry_planes symmetric", "symmetry"),
     // [time]
     ("fps frame_rate framerate rate", "frames_per_second"),
     ("end end_time t_end tmax t_max stop total_time length", "duration"),

@@ -77,6 +77,7 @@ mod solver;
 mod surface_files;
 mod surroundings;
 mod sweep;
+mod symmetry;
 mod taps;
 mod tet_files;
 mod tet_mesh;

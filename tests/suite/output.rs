@@ -478,6 +478,7 @@ fn scene() -> Scene {
             gravity: -9.81 * DVec3::Y,
             gravity_keyframes: Vec::new(),
             open: Sides::default(),
+            symmetry: Sides::default(),
             slab: None,
             friction: 0.0,
         },
