@@ -6,7 +6,7 @@ from _typeshed import Incomplete, SupportsGetItem, SupportsLenAndGetItem
 from os import PathLike
 from typing import Any, Final, SupportsFloat, SupportsIndex, final
 
-__all__ = ["__version__", "Frame", "Scene", "Simulation", "State", "adapters", "command_line", "compare_stages", "draw", "panic", "plan", "run", "toml_to_json"]
+__all__ = ["__version__", "Frame", "Scene", "Simulation", "State", "adapters", "command_line", "compare_stages", "draw", "panic", "plan", "run", "scene_tree"]
 
 __version__: Final[str]
 """
@@ -87,6 +87,11 @@ class Scene:
     def probes(self, /) -> list[tuple[str, str]]:
         """
         Columns of the probes and their units.
+        """
+    @property
+    def removed(self, /) -> list[str]:
+        """
+        Parts that were removed because they refer to one that an override removed.
         """
     @property
     def size(self, /) -> list[float]: ...
@@ -204,7 +209,7 @@ def run(scene: Scene, keywords: Incomplete, progress: Any) -> str:
     stops the run after a checkpoint.
     """
 
-def toml_to_json(what: str, text: str) -> str:
+def scene_tree(path: str | PathLike[str], text: str, overrides: SupportsGetItem[int, str]) -> str:
     """
-    TOML as JSON.
+    The keys that a text and overrides give, as JSON.
     """

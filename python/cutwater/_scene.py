@@ -55,6 +55,7 @@ class Scene:
     >>> scene["solid[0].young"] = 2e6        # Pa; "solid.0.young" is the same
     >>> scene["domain.gravity"]
     [0.0, -9.81, 0.0]
+    >>> del scene["liquid"]                  # and what refers to it
 
     Raises
     ------
@@ -72,19 +73,21 @@ class Scene:
             self._text = self._file.read_text(encoding="utf-8")
         self._from_file = not isinstance(source, Mapping)
         self._scale = float(scale)
+        # Changes up to the last removal, and later values.
+        self._changes: list[str] = []
         self._settings: dict[str, str] = {}
-        self._core = self._checked(self._settings)
-        self._tree: dict[str, Any] = json.loads(_core.toml_to_json(str(self._file), self._text))
+        self._change(self._changes, self._settings)
 
-    def _checked(self, settings: dict[str, str]) -> _core.Scene:
-        overrides = [f"{key}={value}" for key, value in settings.items()]
-        return _core.Scene(self._file, self._text, overrides, self._scale)
+    def _change(self, changes: list[str], settings: dict[str, str]) -> None:
+        overrides = changes + [f"{key}={value}" for key, value in settings.items()]
+        core = _core.Scene(self._file, self._text, overrides, self._scale)
+        self._tree: dict[str, Any] = json.loads(_core.scene_tree(self._file, self._text, overrides))
+        self._core, self._changes, self._settings = core, changes, settings
 
     def copy(self) -> Scene:
         """An independent copy."""
         new = object.__new__(Scene)
         new.__dict__.update(self.__dict__)
-        new._settings = dict(self._settings)
         new._tree = deepcopy(self._tree)
         return new
 
@@ -95,8 +98,9 @@ class Scene:
         at: Any = self._tree
         for step in steps_of(key):
             try:
-                at = at[step]
-            except (KeyError, IndexError, TypeError):
+                named = [entry for entry in at if entry.get("name") == step] if isinstance(at, list) and isinstance(step, str) else []
+                at = named[0] if named else at[step]
+            except (KeyError, IndexError, TypeError, AttributeError):
                 raise KeyError(f"the scene does not write {key!r}; defaults are in docs/scene.md") from None
         return deepcopy(at)
 
@@ -117,7 +121,7 @@ class Scene:
 
     def update(self, values: Mapping[str, Any]) -> None:
         """Sets several key paths at once: all of them, or none if the scene with them is refused."""
-        settings, tree = dict(self._settings), deepcopy(self._tree)
+        settings = dict(self._settings)
         for name, value in values.items():
             steps = steps_of(name)
             path, text = _path(steps), _toml.value(value)
@@ -125,14 +129,33 @@ class Scene:
             for old in [old for old in settings if old == path or old.startswith((f"{path}.", f"{path}["))]:
                 del settings[old]
             settings[path] = text
-        core = self._checked(settings)
-        for name, value in values.items():
-            *parents, last = steps_of(name)
-            at: Any = tree
-            for step in parents:
-                at = at.setdefault(step, {}) if isinstance(at, dict) else at[step]
-            at[last] = json.loads(_core.toml_to_json(name, f"value = {_toml.value(value)}"))["value"]
-        self._core, self._settings, self._tree = core, settings, tree
+        self._change(self._changes, settings)
+
+    def __delitem__(self, key: str) -> None:
+        """Removes a part and what refers to it, as :meth:`without` does."""
+        self._remove(key)
+
+    def without(self, *keys: str) -> Scene:
+        """A copy without some parts, such as ``"liquid"``, ``"solid[0]"``, ``"solid.wall"`` or ``"domain.open.+x"``.
+
+        Parts that refer to a removed one are removed too, as by ``--without`` of the command line; :attr:`removed` lists them. All indices are those
+        before the removal; indices of the copy count what remains.
+        """
+        new = self.copy()
+        if keys:
+            new._remove(*keys)
+        return new
+
+    def _remove(self, *keys: str) -> None:
+        changes = [*self._changes, *(f"{key}={value}" for key, value in self._settings.items())]
+        removals = [f"without {key}" for key in keys]
+        # Its indices count what earlier removals left.
+        self._change([*changes, f"then {removals[0]}", *removals[1:]], {})
+
+    @property
+    def removed(self) -> list[str]:
+        """Parts that were removed because they refer to a removed one."""
+        return self._core.removed
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as a dict, with all changes and without the scale."""

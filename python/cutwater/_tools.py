@@ -113,10 +113,10 @@ def sweep(
     """
     scene, out = scene_of(scene), Path(out)
     file, settings = scene.file, dict(scene._settings)
-    if file is None:
+    if file is None or scene._changes:
         out.mkdir(parents=True, exist_ok=True)
         file, settings = out / f"{scene.name}.toml", {}
-        file.write_text(scene.to_toml(), encoding="utf-8")
+        file.write_text(_toml.document(_with_absolute_files(scene.to_dict(), scene._file.parent)), encoding="utf-8")
     command = [*_program(), "sweep", str(file), "--out", str(out), "--jobs", str(jobs), "--scale", repr(scene.scale), "--backend", backend]
     axes = {_path(steps_of(key)): [_toml.value(value) for value in several] for key, several in values.items()}
     for key, value in settings.items():
@@ -146,6 +146,18 @@ def sweep(
         failed.table = table  # type: ignore[attr-defined]
         raise failed
     return table
+
+
+def _with_absolute_files(part: Any, folder: Path) -> Any:
+    """Part of a scene with the paths of its mesh files absolute; they are relative to a folder."""
+    if isinstance(part, list):
+        return [_with_absolute_files(entry, folder) for entry in part]
+    if not isinstance(part, dict):
+        return part
+    absolute = {key: _with_absolute_files(entry, folder) for key, entry in part.items()}
+    if isinstance(part.get("file"), str):
+        absolute["file"] = str((folder / part["file"]).resolve())
+    return absolute
 
 
 def _supervised(command: list[str]) -> tuple[int, str]:

@@ -101,6 +101,7 @@ _OPTIONS = [
     (r"--(overwrite|resume)", r"\1=True"),
     (r"--keep-going", "keep_going=True"),
     (r"--set ([\w.\[\]]+)=(\S+)", r'scene["\1"] = \2'),
+    (r"--without ([\w.\[\]+-]+)", r'del scene["\1"]'),
     (r"--(adapter|frames|out|scale) (?=[\w.])", r"\1="),
     (r"--(adapter|frames|out|scale)", r"\1"),
 ]
@@ -127,6 +128,8 @@ def exception(kind: str, message: str, **fields: object) -> CutwaterError:
         fields = {"key": key or name, "problem": problem, "cure": fields["cure"], "exit_code": 2}
         place = "" if key in ("", name) else f"{key}: "
         message = f'scene["{name}"] = {value}: {place}{problem}\n  cure: {fields["cure"]}'
+    if what.startswith("--without "):
+        kind, fields = "SceneError", {**fields, "key": what.removeprefix("--without ")}
     error = globals()[kind](_in_python(message))
     for field, content in fields.items():
         text = os.fspath(content) if isinstance(content, os.PathLike) else content

@@ -17,7 +17,7 @@ mod _core {
     #[pymodule_export]
     use super::frame::{Frame, draw};
     #[pymodule_export]
-    use super::scene::{Scene, toml_to_json};
+    use super::scene::{Scene, scene_tree};
     #[pymodule_export]
     use super::simulation::{Simulation, State};
     /// Version of cutwater.

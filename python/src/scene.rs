@@ -7,7 +7,6 @@ use cutwater::scene::{self, Keyframe};
 use cutwater::sim;
 use glam::DVec3;
 use pyo3::prelude::*;
-use serde_json::Value;
 
 use crate::errors::guarded;
 
@@ -90,14 +89,20 @@ impl Scene {
         Some((translate.to_array(), rotation.to_array()))
     }
 
+    /// Parts that were removed because they refer to one that an override removed.
+    #[getter]
+    fn removed(&self) -> Vec<String> {
+        self.0.removed.clone()
+    }
+
     fn warnings(&self, py: Python<'_>) -> PyResult<Vec<String>> {
         guarded(py, || sim::warnings(&self.0))
     }
 }
 
-/// TOML as JSON.
+/// The keys that a text and overrides give, as JSON.
 #[pyfunction]
-pub(crate) fn toml_to_json(py: Python<'_>, what: String, text: String) -> PyResult<String> {
-    let value: Value = guarded(py, || scene::from_toml(&what, &text))?;
-    Ok(value.to_string())
+pub(crate) fn scene_tree(py: Python<'_>, path: PathBuf, text: String, overrides: Vec<String>) -> PyResult<String> {
+    let tree = guarded(py, || scene::Scene::tree(&path, &text, &overrides))?;
+    Ok(tree.to_string())
 }

@@ -113,3 +113,28 @@ def test_cures_are_in_the_words_of_python(scenes):
     with pytest.raises(InputError, match=r"scale=0\.25: .*\n  cure: use scale=0\.5") as caught:
         cutwater.Scene(scenes / "standing_wave.toml", scale=0.25)
     assert "--" not in str(caught.value)
+
+
+def test_removed_parts_take_along_what_refers_to_them(both):
+    both["solid"].append({**both["solid"][0], "name": "wall", "placement": {"translate": [0.85, 0.4, 0.25]}})
+    both["probe"] = [{"name": "load", "force": {"solid": "beam"}}, {"name": "u", "velocity": {"point": [0.2, 0.2, 0.2]}}]
+    scene = cutwater.Scene(both)
+    dry = scene.without("liquid")
+    assert "liquid" not in dry and "probe" not in dry and dry.removed == ['probe "load"', 'probe "u"']
+    assert "liquid" in scene and scene.removed == []
+    # Indices are those before the removal, and afterwards those of what remains.
+    dry["solid[1].young"] = 3e5
+    one = dry.without("solid[0]")
+    assert [solid["name"] for solid in one["solid"]] == ["wall"] and one["solid[0].young"] == 3e5
+    one["solid[0].young"] = 4e5
+    assert one["solid.wall.young"] == 4e5 and dry["solid[1].young"] == 3e5
+    assert cutwater.Scene(one.to_dict()).to_dict() == one.to_dict()
+    assert scene.without("solid[0]", "solid[1]").to_dict() == scene.without("solid").to_dict()
+    del scene["solid.beam"]
+    assert scene.to_dict()["solid"][0]["name"] == "wall" and scene.removed == ['probe "load"']
+    with pytest.raises(SceneError, match=r'del scene\["solid\[1\]"\]: there is no') as caught:
+        del scene["solid[1]"]
+    assert caught.value.key == "solid[1]" and caught.value.line is None and "wall" in caught.value.cure
+    with pytest.raises(SceneError, match="neither liquid nor solids"):
+        scene.without("solid", "liquid")
+    assert len(scene["solid"]) == 1 and "liquid" in scene

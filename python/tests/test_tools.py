@@ -94,6 +94,10 @@ def test_sweep(water):
     assert len({np.load(f"{folder}/checkpoint.npz")["velocity_x"].tobytes() for folder in table["folder"]}) == 2
     manifest = json.load(open(f"{table['folder'][0]}/manifest.json"))
     assert "time.cfl=2" in manifest["options"]["overrides"]
+    del scene["probe[1]"]
+    cutwater.sweep(scene, {"time.cfl": [2]}, out="fewer", frames=1, backend="cpu")
+    with_probe, without = (open(f"{folder}/summary.csv").readline() for folder in ("sweep", "fewer"))
+    assert "u_x" in with_probe and "u_x" not in without and "front" in without
     with pytest.raises(CheckError) as caught:
         cutwater.sweep(scene, {"liquid.density": [900, -1]}, out="sweep2", frames=1, backend="cpu")
     assert list(caught.value.table["status"]) == ["finished", "refused"]

@@ -9,12 +9,13 @@ use std::ops::{Bound, RangeBounds};
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use serde_json::Value;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::MeshFile;
 use super::suggestions::{Suggestion, suggestion};
-use super::without::{override_option, remove};
+use super::without::{is_continued, override_option, remove};
 use crate::error::Error;
 
 /// Origin of a value.
@@ -53,6 +54,18 @@ impl Content {
             Content::Date => "a date".to_owned(),
             Content::Array(items) => format!("a list of {}", items.len()),
             Content::Table(_) => "a table".to_owned(),
+        }
+    }
+
+    fn json(&self) -> Value {
+        match self {
+            Content::Text(text) => text.as_str().into(),
+            &Content::Integer(value) => value.into(),
+            &Content::Float(value) => value.into(),
+            &Content::Boolean(value) => value.into(),
+            Content::Date => self.describe().into(),
+            Content::Array(items) => items.iter().map(|item| item.content.json()).collect(),
+            Content::Table(entries) => entries.iter().map(|(name, node)| (name.clone(), node.content.json())).collect(),
         }
     }
 
@@ -213,7 +226,7 @@ pub(super) struct Document {
 }
 
 impl Document {
-    /// Parses the text of `file` and applies the overrides.
+    /// Parses the text of `file` and applies the overrides in order. Successive removals have the indices before the first of them.
     pub(super) fn parse(file: &Path, text: &str, overrides: &[String]) -> Result<Document, Error> {
         let line_of =
             |offset: usize| 1 + text.as_bytes()[..offset.min(text.len())].iter().filter(|&&b| b == b'\n').count();
@@ -239,25 +252,36 @@ impl Document {
             mesh_files: RefCell::default(),
         };
         document.root.content = document.table(root.into_inner(), "", &|span| Origin::Line(line_of(span)))?;
-        let mut without = Vec::new();
-        for (index, setting) in overrides.iter().enumerate() {
-            match override_option(setting) {
-                ["--without", key] => without.push((setting, key)),
-                _ => document.apply_override(index)?,
+        let removes = |setting: &String| override_option(setting)[0] == "--without";
+        let mut first = 0;
+        for block in overrides.chunk_by(|before, setting| is_continued(before, setting)) {
+            match removes(&block[0]) {
+                true => document.remove(block)?,
+                false => (first..first + block.len()).try_for_each(|index| document.apply_override(index))?,
             }
-        }
-        if !without.is_empty() {
-            let keys: Vec<&str> = without.iter().map(|&(_, key)| key).collect();
-            let removed = remove(&mut document.root, &keys);
-            document.removed =
-                removed.map_err(|(number, [problem, cure])| Error::input(option(without[number].0), problem, cure))?;
+            first += block.len();
         }
         Ok(document)
+    }
+
+    /// Removes the keys of successive overrides.
+    fn remove(&mut self, overrides: &[String]) -> Result<(), Error> {
+        let keys: Vec<&str> = overrides.iter().map(|setting| override_option(setting)[1]).collect();
+        let removed = remove(&mut self.root, &keys);
+        let refused =
+            |(number, [problem, cure]): (usize, [String; 2])| Error::input(option(&overrides[number]), problem, cure);
+        self.removed.extend(removed.map_err(refused)?);
+        Ok(())
     }
 
     /// Parts that were removed because they refer to one that `--without` removed, by key or name.
     pub(super) fn removed(&self) -> &[String] {
         &self.removed
+    }
+
+    /// The scene as JSON.
+    pub(super) fn json(&self) -> Value {
+        self.root.content.json()
     }
 
     /// All values by key, as TOML.

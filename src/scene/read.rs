@@ -119,6 +119,14 @@ impl Scene {
         Scene::from_document(&document, path, text, overrides, scale)
     }
 
+    /// The text of a scene file with overrides as JSON: the keys that it gives, unchecked.
+    ///
+    /// # Errors
+    /// As [`Scene::parse`], for a text that is not TOML and overrides of keys that do not exist.
+    pub fn tree(path: &Path, text: &str, overrides: &[String]) -> Result<serde_json::Value, Error> {
+        Ok(Document::parse(path, text, overrides)?.json())
+    }
+
     /// `text` is the source of the document.
     pub(super) fn from_document(
         document: &Document,
@@ -437,14 +445,6 @@ fn slab_axis(place: &Place, cells: [usize; 3]) -> Result<usize, Error> {
 }
 
 fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
-    let axes = Axis::ALL.into_iter();
-    let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));
-    let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
-    let expected = format!("a list, such as [\"+x\"], of any of {}", Sides::NAMES.join(", "));
-    let entries = place.list().map_err(|_| place.wrong_type(&expected))?;
-    let mut sides = Sides::default();
-    for entry in entries {
-        let (axis, side) = entry.choice(&choices)?;
     let open = sides(place)?;
     place.ensure(
         !open.any() || root.get("liquid").is_some(),
@@ -471,6 +471,14 @@ fn symmetry(place: &Place, open: Sides, across: Option<usize>) -> Result<Sides, 
 }
 
 fn sides(place: &Place) -> Result<Sides, Error> {
+    let axes = Axis::ALL.into_iter();
+    let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));
+    let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
+    let expected = format!("a list, such as [\"+x\"], of any of {}", Sides::NAMES.join(", "));
+    let entries = place.list().map_err(|_| place.wrong_type(&expected))?;
+    let mut sides = Sides::default();
+    for entry in entries {
+        let (axis, side) = entry.choice(&choices)?;
         let twice = sides.has(axis, side);
         entry.ensure(!twice, "names a side for the second time", "remove it")?;
         sides = sides.with(axis, side);

@@ -1,6 +1,6 @@
 //! `--without KEY`: removes parts of a scene, and the keys that refer to them.
 //!
-//! Keys are those of the file with `--set` applied, all looked up before anything is removed. An entry of a list is selected by its index from 0,
+//! Keys are those of the file with `--set` applied, all of successive removals looked up before anything is removed. An entry of a list is selected by its index from 0,
 //! or by its name: `solid[0]`, `solid.wall`, `domain.open.+x`.
 
 use std::collections::BTreeMap;
@@ -10,15 +10,23 @@ use super::probe::{FORCE_MEASUREMENT, LIQUID_MEASUREMENTS, MEASUREMENTS};
 
 /// Begins an override that removes a key.
 const WITHOUT: &str = "without ";
+/// Before that: the removals before it come first, so its indices count what they leave.
+const THEN: &str = "then ";
 
 /// The override that removes a key, for the list of `KEY=VALUE`.
 pub fn without(key: &str) -> String {
     format!("{WITHOUT}{}", key.trim())
 }
 
+/// Whether an override is looked up together with the one before it: both set values, or both are removals at one time.
+pub(super) fn is_continued(before: &str, setting: &str) -> bool {
+    let [one, other] = [before, setting].map(|setting| override_option(setting)[0]);
+    one == other && !setting.starts_with(THEN)
+}
+
 /// Option of the command line for an override, and its value.
 pub fn override_option(setting: &str) -> [&str; 2] {
-    match setting.strip_prefix(WITHOUT) {
+    match setting.strip_prefix(THEN).unwrap_or(setting).strip_prefix(WITHOUT) {
         Some(key) => ["--without", key],
         None => ["--set", setting],
     }

@@ -183,6 +183,13 @@ fn removed_parts_take_along_what_refers_to_them() {
     assert!(bare.obstacles.is_empty() && bare.solids[0].pins.is_empty() && bare.removed.is_empty());
     assert_eq!(probes(&bare), ["load", "block"]);
     assert_eq!(bare.values["domain.open"], "[\"+y\"]");
+    // In a list of overrides the indices are those at its place.
+    let mixed = ["solid[1].young=3e5".to_owned(), without("solid[0]"), "solid[0].poisson=0.2".to_owned()];
+    let mixed = Scene::parse("wall.toml".as_ref(), SCENE, &mixed, 1.0).unwrap();
+    assert_eq!((names(&mixed), mixed.solids[0].young, mixed.solids[0].poisson), (vec!["dry.block".into()], 3e5, 0.2));
+    let twice = [without("solid[0]"), format!("then {}", without("probe[0]")), without("probe[1]")];
+    let twice = Scene::parse("wall.toml".as_ref(), SCENE, &twice, 1.0).unwrap();
+    assert_eq!((names(&twice), twice.probes.len()), (vec!["dry.block".to_owned()], 0));
     // A name with a point is a step of --set too.
     let set = ["solid.dry.block.young=2e5".to_owned()];
     let set = Scene::parse("wall.toml".as_ref(), SCENE, &set, 1.0).unwrap();
