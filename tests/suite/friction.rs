@@ -8,11 +8,11 @@ use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{PUSHING, complementarity};
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{Obstacle, Placement, Scene, Shape, Solid, SolidMesh};
-use cutwater::sim::{Backend, Simulation};
+use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{State, StepReport};
 use glam::{DMat3, DVec3};
 
-use crate::common::{Random, gpu};
+use crate::common::{Random, gpu, project_scene};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of, solids_of};
 
@@ -497,4 +497,38 @@ fn solids_left_out_of_contact_pass() {
     advance(&mut reference, 1.0 / 120.0, 60);
     let [_, x] = motion(&solids, reference.state(), 0);
     assert!((x.y - 0.1).abs() <= 1e-3, "{x}: rests on the floor");
+}
+
+/// Time (s) and centre of mass (m) of the only solid after some frames of a scene.
+fn centres(scene: &Scene, frames: &[u64]) -> Vec<(f64, DVec3)> {
+    let (mut reference, solids) = (reference_path(scene).unwrap(), solids_of(scene));
+    let until = |&frame: &u64| {
+        while reference.state().frame < frame {
+            reference.step(reference.next_time_step()).unwrap();
+        }
+        let [_, centre] = motion(&solids, reference.state(), 0);
+        (reference.state().time, centre)
+    };
+    frames.iter().map(until).collect()
+}
+
+/// Pressed by 5 mm, with friction 0.5, the block follows the jaws: 0.5 m/s from 0.45 s on.
+#[test]
+fn jaws_lift_a_block_out_of_water() {
+    let scene = project_scene("gripper", 0.5, &[]);
+    let [(_, before), (t, after)] = centres(&scene, &[10, 16])[..] else { panic!() };
+    let lifted = 0.5 * (t - 0.45);
+    assert!((after.y - before.y - lifted).abs() < 0.05 * 0.1, "{before}, {after}: {lifted} m");
+    assert!((after.x - 0.3).abs() < 0.005, "{after}");
+}
+
+/// A ring that rolls without slipping gains 1.81 m/s^2; slipping, up to 3.4 m/s^2. Bending takes a tenth.
+#[test]
+fn a_soft_wheel_rolls_down_a_slope() {
+    let scene = project_scene("soft_wheel", 0.5, &["time.max_step=0.004"]);
+    let centres = centres(&scene, &[4, 8, 12]);
+    let [a, b, c] = [0, 1, 2].map(|n| (centres[n].1 - centres[0].1).length());
+    let step = centres[1].0 - centres[0].0;
+    let gained = (c - 2.0 * b + a) / (step * step);
+    assert!(gained < 1.81 && gained > 0.85 * 1.81, "{gained} m/s^2");
 }
