@@ -148,7 +148,7 @@ class Scene:
 
     def _remove(self, *keys: str) -> None:
         changes = [*self._changes, *(f"{key}={value}" for key, value in self._settings.items())]
-        removals = [f"without {key}" for key in keys]
+        removals = [f"without {_path(steps_of(key))}" for key in keys]
         # Its indices count what earlier removals left.
         self._change([*changes, f"then {removals[0]}", *removals[1:]], {})
 

@@ -207,8 +207,8 @@ impl PressureSystem {
         cell_flux
     }
 
-    /// Removes from `closed` the components whose room grows by more than the share `least` of the prescribed flux, and returns their cells
-    /// that touch a wall or body which recedes; there is one at least. Their right-hand side is E u* again, without a mean removed.
+    /// Removes from `closed` the components whose room grows by more than the share `least` of the prescribed flux. Their right-hand side is
+    /// E u* again, without a mean removed. Returns their cells beside walls and bodies that recede, at least one of each.
     pub fn take_growing(&mut self, touching: &[bool], by_solids: Option<&[f64]>, least: f64) -> Vec<usize> {
         if self.closed.is_empty() {
             return Vec::new();

@@ -12,8 +12,8 @@
 //! Liquid that falls along a wall is separated without leaving it: the bound is set where the gap exceeds a fiftieth of the way that the
 //! liquid moves.
 //!
-//! The last factor in g is 1 where the surface already left the wall, also where the slope of the level is not quite 1, and 0 in a film, whose
-//! nearest surface is its other one.
+//! The last factor in g is 1 where the surface already left the wall, also where the slope of the level is not quite 1. It is 0 in a film,
+//! whose nearest surface is its other one.
 //!
 //! `bound_level` raises the level to this bound, and `redistance` counts the cell as one at the interface. Cells with their centre in a body
 //! have the extended level of the cell beside them, which is bounded in their place.

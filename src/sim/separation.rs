@@ -45,16 +45,16 @@ impl Rounds<'_> {
         }
     }
 
-    /// Whether the solve is repeated for enclosed liquid that opens.
-    fn grows(&self) -> bool {
+    /// Whether the solve is repeated for closed liquid that opens.
+    fn opens(&self) -> bool {
         let (_, components, _) = self.unmasked;
-        components.grows()
+        components.opens()
     }
 
-    /// Records the first set: what separated in the last sub-step, and where the room of enclosed liquid grows.
+    /// Records the first set: what separated in the last sub-step, and the cells at which closed liquid opens.
     pub(super) fn record_start(&self, to: &mut Recorder) {
         let (liquid, solver) = self.fields;
-        if !self.grows() {
+        if !self.opens() {
             self.stage.record_before(to, liquid);
         }
         self.stage.record_start(to, liquid, solver);
@@ -71,7 +71,7 @@ impl Rounds<'_> {
         mut solve: impl FnMut(Recorder, Round, &mut dyn FnMut(&mut Recorder)) -> Result<(Solution, bool), Error>,
     ) -> Result<(Solution, Recorder), Error> {
         let Rounds { gpu, fields: (liquid, solver), unmasked, flux, .. } = *self;
-        let mut masks = self.report.cells > 0 || self.grows();
+        let mut masks = self.report.cells > 0 || self.opens();
         let (mut changed, mut rough) = (masks, masks);
         for number in 1.. {
             if number > 1 {

@@ -43,6 +43,11 @@ pub(super) fn can_squeeze(scene: &Scene) -> bool {
     nodes_prescribed(scene) || effects.moving_obstacles || effects.sources
 }
 
+/// Whether closed liquid may open, given that liquid may separate. The weaker couplings do not constrain its volume in the same solve.
+pub(super) fn can_open(scene: &Scene) -> bool {
+    !Effects::of(scene).coupling || scene.solver.coupling == CouplingScheme::Strong
+}
+
 impl SqueezeReadbacks {
     /// Readbacks allocated at the start; `None` without prescribed nodes.
     pub(super) fn at_start(
@@ -75,18 +80,20 @@ impl SqueezeReadbacks {
 pub(super) struct Squeeze {
     /// Largest change relative to the prescribed flux, of those that stay full.
     pub share: f64,
-    /// Cells (scalar indices of the padded grid) whose walls recede; none where no component opens.
-    pub growing: Vec<u32>,
+    /// Cells (scalar indices of the padded grid) whose walls recede, of components that open.
+    pub receding: Vec<u32>,
 }
 
 /// Prescribed motion at enclosed components. `prescribed`: flux of obstacles and sources, m^3/s. `solids` adds J v of their nodes, which
-/// are all prescribed beside such a component. Waits for all submitted work.
+/// are all prescribed beside such a component. `opens`: whether components whose room grows open.
+/// Waits for all submitted work.
 pub(super) fn squeezed(
     gpu: &Gpu,
     readbacks: &mut Option<SqueezeReadbacks>,
     liquid: &GpuLiquid,
     solids: Option<(&GpuSolids, &SolidClip)>,
     prescribed: impl IntoIterator<Item = (usize, f64)>,
+    opens: bool,
 ) -> Result<Squeeze, Error> {
     let mut cell_flux = BTreeMap::<usize, f64>::new();
     for (cell, flux) in prescribed {
@@ -131,11 +138,10 @@ pub(super) fn squeezed(
             component.receding.extend((flux > 0.0 && flag(HELD)).then_some(index as u32));
         }
     }
-    let opens = liquid.stages.separation.is_some();
     let mut squeeze = Squeeze::default();
     for component in components.into_values() {
         if opens && component.net > SQUEEZE * component.gross && !component.receding.is_empty() {
-            squeeze.growing.extend(component.receding);
+            squeeze.receding.extend(component.receding);
         } else if component.gross > 0.0 {
             squeeze.share = squeeze.share.max(component.net.abs() / component.gross);
         }

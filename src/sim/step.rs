@@ -15,7 +15,7 @@ use super::gpu_coupling::{ClipTime, CouplingReadbacks};
 use super::gpu_liquid::{GpuLiquid, LiquidSolve};
 use super::gpu_path::GpuPath;
 use super::gpu_solids::SolidReadbacks;
-use super::squeeze::{Squeeze, SqueezeReadbacks, can_squeeze, squeezed};
+use super::squeeze::{Squeeze, SqueezeReadbacks, can_open, can_squeeze, squeezed};
 
 /// Stage callback: called after each stage, once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(Stage, &GpuPath) -> Result<(), Error>;
@@ -41,6 +41,20 @@ struct StepReadback {
     solids: Option<SolidReport>,
     coupling: Option<CouplingReport>,
     seconds: StageTimes,
+}
+
+impl StepReadback {
+    /// Adds iterations, solves and seconds of a solve that was repeated.
+    fn add_solve(&mut self, before: StepReadback) {
+        if let Some((now, before)) = self.pressure.as_mut().zip(before.pressure) {
+            now.iterations += before.iterations;
+        }
+        if let Some(((now, contact), (before, contact_before))) = self.velocity.as_mut().zip(before.velocity) {
+            now.iterations += before.iterations;
+            contact.solves += contact_before.solves;
+        }
+        self.seconds.splice(0..0, before.seconds);
+    }
 }
 
 /// A sub-step in progress. It waits for the outcome of the solve and for the reports. Coupling adds waits for the
@@ -248,11 +262,11 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    fn liquid_right_hand_side(&mut self) {
+    /// Makes the right-hand side of closed components compatible.
+    fn remove_means(&mut self) {
         let to = recording(&mut self.recorder, &self.path.gpu);
         let coupling = self.path.coupling.as_ref();
         if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
-            stages.record(Stage::RightHandSide, to);
             to.stage(Stage::ClosedComponents.name(), |pass| {
                 if let Some(coupling) = coupling {
                     coupling.record_close(pass);
@@ -263,7 +277,11 @@ impl SubStep<'_, '_> {
     }
 
     fn right_hand_side(&mut self) -> Result<(), Error> {
-        self.liquid_right_hand_side();
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
+            stages.record(Stage::RightHandSide, to);
+        }
+        self.remove_means();
         let to = recording(&mut self.recorder, &self.path.gpu);
         let coupling = self.path.coupling.as_ref();
         if let Some(solids) = &self.path.solids {
@@ -284,9 +302,11 @@ impl SubStep<'_, '_> {
     fn solve(&mut self) -> Result<(), Error> {
         self.solve_liquid()?;
         let squeeze = self.squeeze()?;
-        if !squeeze.growing.is_empty() {
+        if !squeeze.receding.is_empty() {
+            let closed = std::mem::take(&mut self.readback);
             self.open(&squeeze)?;
             self.solve_liquid()?;
+            self.readback.add_solve(closed);
         }
         self.flag_squeeze(squeeze.share);
         let to = recording(&mut self.recorder, &self.path.gpu);
@@ -294,7 +314,7 @@ impl SubStep<'_, '_> {
             to.stage(Stage::ClosedComponents.name(), |pass| {
                 stages.closed_components.shift_potential(pass);
             });
-            stages.closed_components.clear_growing();
+            stages.closed_components.clear_opening();
             if let Some(coupling) = &self.path.coupling {
                 coupling.record_push(to);
             }
@@ -313,17 +333,18 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    /// Assembles the pressure system once more, with components that are no longer enclosed.
+    /// Assembles the pressure system once more, with components that are no longer closed. Volume control still leaves them out.
     fn open(&mut self, squeeze: &Squeeze) -> Result<(), Error> {
         let GpuPath { gpu, liquid, .. } = &mut *self.path;
         if let Some(liquid) = liquid {
+            liquid.stages.record(Stage::RightHandSide, recording(&mut self.recorder, gpu));
             let GpuLiquid { buffers, solver, stages, .. } = liquid;
-            stages.closed_components.set_growing(gpu, buffers, solver, &squeeze.growing)?;
+            stages.closed_components.set_opening(gpu, buffers, solver, &squeeze.receding)?;
         }
         for stage in [Stage::ActiveCells, Stage::ClosedComponents] {
             self.record_liquid(stage);
         }
-        self.liquid_right_hand_side();
+        self.remove_means();
         Ok(())
     }
 
@@ -413,7 +434,8 @@ impl SubStep<'_, '_> {
         let prescribed = fluxes.iter().copied().chain(sources);
         let together = self.readback.together;
         let nodes = solids.as_ref().zip(clip).filter(|_| together);
-        squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, prescribed)
+        let opens = liquid.stages.separation.is_some() && can_open(scene);
+        squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, prescribed, opens)
     }
 
     /// Prescribed motion that would change the volume of an enclosed liquid component makes the solve incompatible.

@@ -6,7 +6,7 @@
 //! free-surface face are counted, and those without a face at a wall, a solid or a source (ballistic ones). Without any of them nothing else
 //! is dispatched.
 //!
-//! **Means.** With separation the pressure of a closed component is shifted to the least value 0 instead of the mean 0. Sums over a component are integer sums of 96 bits, so a run repeats bitwise, and f32 is as exact as f64. They share buffers
+//! **Means.** Sums over a component are integer sums of 96 bits, so a run repeats bitwise, and f32 is as exact as f64. They share buffers
 //! with the solve, which never runs at the same time.
 
 use crate::Error;
@@ -28,7 +28,7 @@ pub struct Components {
     open: Bound,
     gate: Bound,
     flag: Bound,
-    grow: Option<Grow>,
+    opening: Option<Opening>,
     rhs: Shift,
     potential: Shift,
     /// Dispatch sizes: a thread per active quad where some component has no free surface or is ballistic; where some are closed fewer, with a run of quads
@@ -51,7 +51,7 @@ impl Components {
             open: bound(wgsl!("components_open"))?,
             gate: bound(wgsl!("components_gate"))?,
             flag: bound(wgsl!("components_flag"))?,
-            grow: None,
+            opening: None,
             rhs: Shift::new(gpu, buffers, &buffers.rhs, (LARGEST[0], false))?,
             potential: Shift::new(gpu, buffers, &buffers.potential, (LARGEST[1], lifts))?,
             sizes,
@@ -68,8 +68,8 @@ impl Components {
         if let Some(seal) = seal {
             pass.dispatch(&seal.seal, seal.n_quads);
         }
-        if let Some(grow) = self.grow.as_ref().filter(|grow| grow.active) {
-            pass.dispatch(&grow.bound, grow.cells.len());
+        if let Some(opening) = self.opening.as_ref().filter(|opening| opening.active) {
+            pass.dispatch(&opening.bound, opening.cells.len());
         }
         pass.dispatch(&self.gate, 1);
         pass.dispatch_indirect(&self.flag, &self.sizes, 0);
@@ -80,32 +80,32 @@ impl Components {
     ///
     /// # Errors
     /// Where the device has no memory for the list.
-    pub fn set_growing(
+    pub fn set_opening(
         &mut self,
         gpu: &Gpu,
         liquid: &LiquidBuffers,
         solver: &SolverBuffers,
         cells: &[u32],
     ) -> Result<(), Error> {
-        let grow = match self.grow.take().filter(|grow| grow.cells.len() >= cells.len()) {
-            Some(grow) => grow,
-            None => Grow::new(gpu, liquid, solver, cells.len().next_power_of_two())?,
+        let opening = match self.opening.take().filter(|opening| opening.cells.len() >= cells.len()) {
+            Some(opening) => opening,
+            None => Opening::new(gpu, liquid, solver, cells.len().next_power_of_two())?,
         };
         let mut list = cells.to_vec();
-        list.resize(grow.cells.len(), u32::MAX);
-        gpu.upload(&grow.cells, &list);
-        self.grow = Some(Grow { active: true, ..grow });
+        list.resize(opening.cells.len(), u32::MAX);
+        gpu.upload(&opening.cells, &list);
+        self.opening = Some(Opening { active: true, ..opening });
         Ok(())
     }
 
-    /// Ends [`Components::set_growing`].
-    pub fn clear_growing(&mut self) {
-        self.grow.iter_mut().for_each(|grow| grow.active = false);
+    /// Ends [`Components::set_opening`].
+    pub fn clear_opening(&mut self) {
+        self.opening.iter_mut().for_each(|opening| opening.active = false);
     }
 
     /// Whether some components open in this sub-step.
-    pub fn grows(&self) -> bool {
-        self.grow.as_ref().is_some_and(|grow| grow.active)
+    pub fn opens(&self) -> bool {
+        self.opening.as_ref().is_some_and(|opening| opening.active)
     }
 
     /// Takes the mean over every closed component out of the right-hand side, without which the system has no solution.
@@ -119,21 +119,21 @@ impl Components {
     }
 }
 
-/// Marks the components whose room grows. Made when the first one does.
+/// Marks the components that open. Made when the first one does.
 #[derive(Debug)]
-struct Grow {
+struct Opening {
     bound: Bound,
     cells: Buffer<u32>,
     active: bool,
 }
 
-impl Grow {
-    fn new(gpu: &Gpu, liquid: &LiquidBuffers, solver: &SolverBuffers, n_cells: usize) -> Result<Grow, Error> {
-        let cells = gpu.buffer("solver.growing", n_cells)?;
+impl Opening {
+    fn new(gpu: &Gpu, liquid: &LiquidBuffers, solver: &SolverBuffers, n_cells: usize) -> Result<Opening, Error> {
+        let cells = gpu.buffer("solver.receding", n_cells)?;
         let gpu = &gpu.at(Stage::ClosedComponents.name());
-        let own = [("growing", (&cells).into())];
-        let bound = bind(gpu, &wgsl!("components_grow"), solver.variant.inner, own, &[liquid, solver])?;
-        Ok(Grow { bound, cells, active: false })
+        let own = [("receding", (&cells).into())];
+        let bound = bind(gpu, &wgsl!("components_release"), solver.variant.inner, own, &[liquid, solver])?;
+        Ok(Opening { bound, cells, active: false })
     }
 }
 

@@ -80,7 +80,12 @@ impl SubStep<'_> {
             coupling.add_product(prescribed.as_flattened(), &mut flux);
             flux
         });
-        let receding = pressure.take_growing(&touching, flux.as_deref(), SQUEEZE);
+        // The weaker couplings do not constrain the volume of closed liquid in the same solve.
+        let opens = !model.effects.coupling || model.scene.solver.coupling == CouplingScheme::Strong;
+        let receding = match opens {
+            true => pressure.take_growing(&touching, flux.as_deref(), SQUEEZE),
+            false => Vec::new(),
+        };
         let from_air = self.liquid()?.separation == Separate::FromAir;
         let candidates =
             Candidates { touching: &touching, from_air: from_air.then_some(open), before: &self.before.separated };
