@@ -89,7 +89,7 @@ fn the_measured_failures_are_the_known_ones() {
     let hostile = rows.iter().filter(|row| &row[expected] == "completes");
     let hostile: Vec<&csv::StringRecord> = hostile.collect();
     assert!(hostile.len() >= 60, "{}", hostile.len());
-    assert!(hostile.iter().all(|row| &row[steps] == "2000"));
+    assert!(hostile.iter().all(|row| &row[steps] == "300"));
     let failed = rows.iter().filter(|row| &row[passed] == "false");
     let failed: Vec<&str> = failed.map(|row| &row[name]).collect();
     assert_eq!(failed, names()[1]);

@@ -80,7 +80,7 @@ pub struct Case {
     pub steps: u64,
     /// Expected behaviour.
     pub expected: Expected,
-    /// Cause of the failure of a case that is known to fail over 2,000 sub-steps. Its verdict is a failure like any other.
+    /// Cause of the failure of a case that is known to fail in the measured table. Its verdict is a failure like any other.
     pub known_failure: Option<String>,
     /// TOML.
     text: String,
