@@ -19,6 +19,9 @@ pub(super) struct Preview {
     /// Quantity that colours elastic solids
     #[arg(long, alias = "colour", value_enum, default_value_t = Colour::Solid)]
     colour_by: Colour,
+    /// Show cells where liquid separates from walls and solids as red cubes
+    #[arg(long)]
+    separated: bool,
     /// Width and height of the pictures, pixels; the scene's by default
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<[usize; 2]>,
@@ -86,6 +89,7 @@ impl Preview {
         };
         let options = PreviewOptions {
             colour,
+            separated: self.separated,
             size: self.size,
             every: self.every as usize,
             animation: true,

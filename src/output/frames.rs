@@ -367,7 +367,8 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     Ok(poly_data(piece))
 }
 
-/// Cell data: `pressure` (Pa), `liquid_distance` (m), `velocity` (m/s, mean of opposite faces), `active`, `solid_distance` (m).
+/// Cell data: `pressure` (Pa), `liquid_distance` (m), `velocity` (m/s, mean of opposite faces), `active`, `solid_distance` (m), and with separation
+/// `separated`.
 fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Error> {
     let cells = |field: &str, values: &[f64]| -> Result<Vec<f32>, Error> {
         values.iter().enumerate().map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell))).collect()
@@ -380,19 +381,19 @@ fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Er
     }
     let active: Vec<u8> = state.active.iter().map(|&active| active.into()).collect();
     let extent = Extent::Ranges(grid.cells.map(|n| 0..=n as i32));
-    let piece = ImageDataPiece {
-        extent: extent.clone(),
-        data: Attributes {
-            point: Vec::new(),
-            cell: vec![
-                scalars("pressure", cells("pressure", &state.pressure)?.into()),
-                scalars("liquid_distance", cells("liquid_distance", &state.liquid_distance)?.into()),
-                vectors("velocity", velocity),
-                scalars("active", active.into()),
-                scalars("solid_distance", cells("solid_distance", &cut.solid_distance)?.into()),
-            ],
-        },
-    };
+    let mut cell = vec![
+        scalars("pressure", cells("pressure", &state.pressure)?.into()),
+        scalars("liquid_distance", cells("liquid_distance", &state.liquid_distance)?.into()),
+        vectors("velocity", velocity),
+        scalars("active", active.into()),
+        scalars("solid_distance", cells("solid_distance", &cut.solid_distance)?.into()),
+    ];
+    if !state.separated.is_empty() {
+        let separated: Vec<u8> = state.separated.iter().map(|&separated| separated.into()).collect();
+        cell.push(scalars("separated", separated.into()));
+    }
+    let data = Attributes { point: Vec::new(), cell };
+    let piece = ImageDataPiece { extent: extent.clone(), data };
     Ok(DataSet::ImageData {
         extent,
         origin: [0.0; 3],

@@ -631,8 +631,41 @@ fn write_run(run: &Path, scene: &Scene, obstacles: &[Surface]) {
             let inside = frame < 2 && wet(grid.cell_centre(grid.cell_at(cell)));
             state.liquid_distance[cell] = if inside { -grid.dx } else { grid.dx };
         }
+        if scene.liquid.as_ref().unwrap().separation != scene::Separation::None {
+            let separates = |cell| grid.cell_centre(grid.cell_at(cell)).abs_diff_eq(SEPARATED, 0.1 * grid.dx);
+            state.separated = (0..grid.n_cells()).map(separates).collect();
+        }
         writer.write(&state, &cut, &Solids::default()).unwrap();
     }
+}
+
+/// Centre of the only separated cell, m.
+const SEPARATED: DVec3 = DVec3::new(0.53125, 0.40625, 0.46875);
+
+#[test]
+fn pictures_show_separated_cells() {
+    let mut scene = scene();
+    scene.camera = front_camera();
+    let liquid = scene.liquid.as_mut().unwrap();
+    (liquid.surface, liquid.separation) = (scene::Surface::Fixed, scene::Separation::Walls);
+    let run = tempfile::tempdir().unwrap();
+    write_run(run.path(), &scene, &[]);
+    let [plain, shown] = [false, true].map(|separated| {
+        let options = PreviewOptions { separated, animation: false, ..PreviewOptions::default() };
+        Decoded::read(&preview(run.path(), &options, &mut |_, _| true).unwrap().pictures[0])
+    });
+    let at = pixel(SEPARATED.x, SEPARATED.y);
+    let [red, green, blue] = shown.at(at);
+    assert!(red > green + 60 && red > blue + 60, "{:?}", shown.at(at));
+    let [red, green, _] = plain.at(at);
+    assert!(red < green + 60, "{:?}", plain.at(at));
+    // A run without separation does not say what cells are separated.
+    scene.liquid.as_mut().unwrap().separation = scene::Separation::None;
+    let run = tempfile::tempdir().unwrap();
+    write_run(run.path(), &scene, &[]);
+    let options = PreviewOptions { separated: true, ..PreviewOptions::default() };
+    let error = preview(run.path(), &options, &mut |_, _| true).unwrap_err().to_string();
+    assert!(error.contains("dam_000000.vti") && error.contains("without --separated"), "{error}");
 }
 
 fn is_liquid([red, green, blue]: [i32; 3]) -> bool {

@@ -73,6 +73,8 @@ pub struct PreviewOptions {
     pub gif: bool,
     /// Quantity that colours elastic solids.
     pub colour: Colour,
+    /// Whether separated cells are shown as red cubes.
+    pub separated: bool,
     /// Position of the camera, m; default the scene's. This, a target or a field of view put the camera to rest.
     pub eye: Option<DVec3>,
     /// Point in the middle of the picture, m.
@@ -93,6 +95,7 @@ impl Default for PreviewOptions {
             animation: true,
             gif: false,
             colour: Colour::Solid,
+            separated: false,
             eye: None,
             target: None,
             up: None,
@@ -207,6 +210,13 @@ impl Pictures {
                 "draw it without --colour-by",
             ));
         }
+        if options.separated && !manifest.fields {
+            return Err(Error::input(
+                run.display().to_string(),
+                "no frame has fields, which say what cells are separated",
+                "draw it without --separated, or run it with output.fields = true",
+            ));
+        }
         let solid_files = files.values().filter_map(|files| files.solids.as_deref());
         let scale = Scale::over(options.colour, solid_files)?;
         let name = &manifest.scene.name;
@@ -233,6 +243,7 @@ impl Pictures {
         let scene = PictureScene {
             liquid: None,
             obstacles,
+            separated: Triangles::none(),
             solids: Triangles::none(),
             appearances: Vec::new(),
             scale,
@@ -285,6 +296,11 @@ impl Pictures {
         let walls = Vec3::from_array(manifest.cells.map(|n| n as f32)) * manifest.dx as f32;
         if let Some(file) = &files.liquid {
             scene.liquid = Liquid::new(&read_surface(file, manifest)?, walls);
+        }
+        if options.separated {
+            let fields = format!("{}_{frame:06}.vti", manifest.scene.name);
+            let cells = read_separated(&self.run.join("frames").join(fields), manifest)?;
+            scene.separated = Triangles::new(cubes(&cells, manifest.dx as f32));
         }
         // Moving obstacles have a file per frame.
         let obstacles = moved_obstacles_file(&manifest.scene.name, frame);
@@ -516,6 +532,42 @@ fn read_spray(path: &Path) -> Result<Vec<Vec3>, Error> {
     let points = points.ok_or_else(|| missing("f32 points"))?;
     let markers = points.into_iter().zip(spray);
     Ok(markers.filter(|(_, flies)| *flies != 0).map(|(x, _)| x).collect())
+}
+
+/// Centres of the separated cells of a file of fields, m.
+fn read_separated(path: &Path, manifest: &Manifest) -> Result<Vec<Vec3>, Error> {
+    let DataSet::ImageData { pieces, .. } = read_vtk(path)? else {
+        return Err(unreadable(path, "no fields"));
+    };
+    let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
+        return Err(unreadable(path, "no inline data"));
+    };
+    let grid = Grid { cells: manifest.cells, dx: manifest.dx };
+    let separated = array(&piece.data.cell, "separated").and_then(IOBuffer::into_vec::<u8>);
+    let separated = separated.filter(|separated| separated.len() == grid.n_cells()).ok_or_else(|| {
+        let cure = "draw it without --separated, or run the scene with liquid.separation";
+        Error::input(path.display().to_string(), "does not say what cells are separated", cure)
+    })?;
+    let cells = separated.iter().enumerate().filter(|(_, separated)| **separated != 0);
+    Ok(cells.map(|(cell, _)| grid.cell_centre(grid.cell_at(cell)).as_vec3()).collect())
+}
+
+/// Triangles of cubes about some points, half as wide as a cell.
+fn cubes(centres: &[Vec3], dx: f32) -> Vec<Triangle> {
+    let faces = (0..3).flat_map(|axis| [-1.0, 1.0].map(|side| (axis, side)));
+    let faces: Vec<[Vec3; 4]> = faces
+        .map(|(axis, side)| {
+            let [n, a, b] = [0, 1, 2].map(|next| Vec3::AXES[(axis + next) % 3]);
+            // Counterclockwise, seen from outside.
+            [(-1.0, -1.0), (side, -side), (1.0, 1.0), (-side, side)]
+                .map(|(x, y)| 0.25 * dx * (side * n + x * a + y * b))
+        })
+        .collect();
+    let of = |&centre: &Vec3| {
+        faces.iter().flat_map(move |&[a, b, c, d]| [[a, b, c], [a, c, d]].map(|of| of.map(|corner| centre + corner)))
+    };
+    let triangle = |corners| Triangle { corners, owner: Owner::Separated };
+    centres.iter().flat_map(of).map(triangle).collect()
 }
 
 /// The stored mesh, if it is consistent.

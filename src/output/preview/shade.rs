@@ -26,6 +26,7 @@ const VEIL: f32 = 0.30;
 
 const FLOOR: Vec3 = Vec3::new(0.62, 0.62, 0.60);
 const OBSTACLE: Vec3 = Vec3::new(0.66, 0.34, 0.13);
+const SEPARATED: Vec3 = Vec3::new(0.75, 0.05, 0.04);
 const CONTAINER: Vec3 = Vec3::new(0.62, 0.60, 0.57);
 const HORIZON: Vec3 = Vec3::new(0.80, 0.84, 0.88);
 const ZENITH: Vec3 = Vec3::new(0.36, 0.52, 0.72);
@@ -130,6 +131,8 @@ impl View {
 pub(super) struct PictureScene {
     pub(super) liquid: Option<Liquid>,
     pub(super) obstacles: Triangles,
+    /// Cubes in the separated cells, where they are shown.
+    pub(super) separated: Triangles,
     /// Surfaces of elastic solids, with an appearance per triangle.
     pub(super) solids: Triangles,
     pub(super) appearances: Vec<Appearance>,
@@ -261,11 +264,13 @@ impl PictureScene {
         hit.map(|hit| Intersection { t: hit.t, target: Target::Body(hit) }).or(floor)
     }
 
-    /// First intersection with obstacles or solids before `limit`.
+    /// First intersection with obstacles, solids or cubes of separated cells before `limit`.
     fn body(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
         let obstacle = self.obstacles.hit(origin, direction, limit);
         let limit = obstacle.as_ref().map_or(limit, |hit| hit.t);
-        self.solids.hit(origin, direction, limit).or(obstacle)
+        let solid = self.solids.hit(origin, direction, limit).or(obstacle);
+        let limit = solid.as_ref().map_or(limit, |hit| hit.t);
+        self.separated.hit(origin, direction, limit).or(solid)
     }
 
     fn colour(&self, origin: Vec3, direction: Vec3, nearest: Option<Intersection>) -> Vec3 {
@@ -288,6 +293,7 @@ impl PictureScene {
                 return CONTAINER * (AMBIENT + SUN * (0.35 + 0.25 * facing));
             }
             Owner::Solid(number) => self.appearances[number].colour(&self.scale, hit, self.pixel * hit.t),
+            Owner::Separated => SEPARATED,
             Owner::Obstacle | Owner::Liquid(_) => OBSTACLE,
         };
         base * self.light(at, hit.normal)

@@ -13,6 +13,8 @@ pub(super) enum Owner {
     Obstacle,
     /// A container, visible from inside and translucent.
     Container,
+    /// A separated cell, visible from outside.
+    Separated,
     /// An elastic solid with its triangle number, visible from both sides, since it may be inverted.
     Solid(usize),
     /// The liquid with its triangle number, visible from outside.
