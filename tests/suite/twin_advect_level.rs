@@ -102,7 +102,7 @@ fn liquid_leaves_walls_as_in_the_twin() {
         case.effects.separation = true;
         let (grid, dt) = (case.grid, case.dt);
         let mut random = Random(17);
-        case.state.separated = (0..grid.n_cells()).map(|_| random.uniform(0.0, 1.0) < 0.4).collect();
+        case.state.separated = (0..grid.n_cells()).map(|_| random.uniform(0.0, 1.0) < 0.6).collect();
         let buffers = case.upload(gpu);
         let level = level_buffers(gpu, &case, &buffers);
         let solver = case.solved(gpu);
