@@ -162,7 +162,7 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
         "young_1e9",
         "poisson_0.45",
         "damping_both",
-        "step_24",
+        "step_60",
         "gravity_10g_stiff_light",
         "start_inverted",
         "start_spun",
