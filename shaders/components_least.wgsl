@@ -1,7 +1,7 @@
 // Stage closed_components, with separation, after components_largest: the least value of a field in each closed component. One thread per RUN
 // quads, which mostly belong to one component.
 // settings: which word of the state. list: active quads. labels, state: see components. field: in.
-// high: one's complement of the ordered bits of the least value, at the root of the component.
+// high: the least value at the root of each component, as the one's complement of its ordered bits: so zero comes before any value.
 #import dispatch
 #import level
 #import components

@@ -1,5 +1,6 @@
 // Stage closed_components: takes the mean over each closed component, or its least value, out of a field.
-// settings: which word of the state; 1 for the least value, see components_least. list: active quads. labels, state: see components. field: in and out.
+// settings: which word of the state; 1 for the least value, see components_least. list: active quads. labels, state: see components.
+// field: in and out.
 // high, middle, low: words of the sum over a component, at its root. count: its cells, likewise.
 #import dispatch
 #import level

@@ -1,7 +1,7 @@
 //! `--without KEY`: removes parts of a scene, and the keys that refer to them.
 //!
-//! Keys are those of the file with `--set` applied, all of successive removals looked up before anything is removed. An entry of a list is selected by its index from 0,
-//! or by its name: `solid[0]`, `solid.wall`, `domain.open.+x`.
+//! Keys are those of the file with `--set` applied. Removals that follow each other use the indices before the first of them. An entry of a
+//! list is selected by its index from 0, or by its name: `solid[0]`, `solid.wall`, `domain.open.+x`.
 
 use std::collections::BTreeMap;
 
