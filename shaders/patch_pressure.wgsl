@@ -1,8 +1,10 @@
 // right_hand_side, for solids in liquid, second part: what pressure does beyond its value at the centres of cells, with a constant gradient
-// in each: twin reference/patch_pressure.rs. Its forces add to those on free components. One thread per node.
+// in each: twin reference/patch_pressure.rs. Its forces add to those on free components. With separation again in each round, for the cells
+// that do not separate. One thread per node.
 // coupling, words, node_pairs, flags: see coupling_force. moments: per pair of a node, bits of the rows of the integral of n N_i (x - x_cell)^T,
 // m^3; fourth of the first row, which of the slopes. slopes: gradients in the wet cells, Pa/m. node_flags: see node_flags.
-// rhs: N, in place; fourth number the squared norm of the magnitudes that it sums. correction: the forces, N, out.
+// rhs: N, in place; fourth number the squared norm of the magnitudes that it sums. correction: the forces
+// that rhs has, N, in place: first 0.
 #import coupling
 #import dispatch
 #import node_flags
@@ -37,8 +39,9 @@ fn patch_pressure(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
             sum += Real3(dot(row(3u * at), slope), dot(row(3u * at + 1u), slope), dot(row(3u * at + 2u), slope));
         }
     }
+    let change = sum - correction[node].xyz;
     correction[node] = Real4(sum, Real(0.0));
-    let free = select(Real3(), sum, is_free(node_flags[node]));
+    let free = select(Real3(), change, is_free(node_flags[node]));
     let before = rhs[node];
     let terms = sqrt(before.w) + length(free);
     rhs[node] = Real4(before.xyz + free, terms * terms);

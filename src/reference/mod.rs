@@ -94,7 +94,7 @@ pub use move_solid::move_solid;
 pub use multigrid::Multigrid;
 pub use node_forces::node_forces;
 pub use occupancy::{UNKNOWN, marker_weights, occupancy};
-pub use patch_pressure::{patch_pressure, pressure_gradient};
+pub use patch_pressure::{PatchForces, patch_pressure, pressure_gradient};
 pub use path::Reference;
 pub use prepare::prepare;
 pub use pressure_system::{PressureSystem, Stencil, remove_means};

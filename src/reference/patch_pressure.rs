@@ -7,7 +7,8 @@
 //! f_i = sum over the patches of active cells of the integral of N_i (grad p . (x - x_cell)) n dA
 //! ```
 //!
-//! with n into the solid. N_i is linear on a patch, so the integrals are exact. Matrix and liquid are unchanged.
+//! with n into the solid. N_i is linear on a patch, so the integrals are exact. Matrix and liquid are unchanged. Where liquid separates
+//! its pressure is 0 in the whole cell: separated cells have no such force.
 
 use glam::DVec3;
 
@@ -15,26 +16,50 @@ use super::pressure_system::Stencil;
 use crate::geometry::Patch;
 use crate::grid::{Axis, Grid};
 
-/// Forces on all nodes, N. `triangles`: nodes of the triangles with patches; `gradient`: grad p of a cell, Pa/m.
+/// Forces on nodes, by the cell that exerts them.
+#[derive(Clone, Debug, Default)]
+pub struct PatchForces {
+    n_nodes: usize,
+    /// Cell, node, force in N.
+    parts: Vec<(usize, usize, DVec3)>,
+}
+
+impl PatchForces {
+    /// Forces of some cells on all nodes, N.
+    pub fn of_cells(&self, counts: impl Fn(usize) -> bool) -> Vec<DVec3> {
+        let mut forces = vec![DVec3::ZERO; self.n_nodes];
+        for &(_, node, force) in self.parts.iter().filter(|(cell, ..)| counts(*cell)) {
+            forces[node] += force;
+        }
+        forces
+    }
+
+    /// Whether a cell exerts one.
+    pub fn has(&self, counts: impl Fn(usize) -> bool) -> bool {
+        self.parts.iter().any(|(cell, ..)| counts(*cell))
+    }
+}
+
+/// The forces of all active cells. `triangles`: nodes of the triangles with patches; `gradient`: grad p of a cell, Pa/m.
 pub fn patch_pressure(
     stencil: &Stencil,
     patches: &[Patch],
     triangles: &[[u32; 3]],
     n_nodes: usize,
     gradient: impl Fn(usize) -> DVec3,
-) -> Vec<DVec3> {
+) -> PatchForces {
     let grid = &stencil.grid;
-    let mut forces = vec![DVec3::ZERO; n_nodes];
+    let mut parts = Vec::new();
     for patch in patches.iter().filter(|patch| stencil.active(patch.cell)) {
         let slope = gradient(patch.cell);
         let way = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
         let corners = patch.barycentric.into_iter().zip(patch.moments);
         for ((weight, moment), node) in corners.zip(triangles[patch.triangle]) {
             let excess = slope.dot(weight * patch.area * way + moment);
-            forces[node as usize] += excess * patch.normal;
+            parts.push((patch.cell, node as usize, excess * patch.normal));
         }
     }
-    forces
+    PatchForces { n_nodes, parts }
 }
 
 /// Gradient of a sub-step's pressure at a cell's centre, Pa/m, from active neighbours across open faces. Along an

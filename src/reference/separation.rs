@@ -12,6 +12,7 @@
 //!
 //! p_c w_c = 0 makes the correction of the velocity orthogonal to the result, so separation adds no kinetic energy.
 
+use super::patch_pressure::PatchForces;
 use super::pressure_system::{PressureSystem, Stencil};
 use super::solve::solve;
 use crate::Error;
@@ -40,6 +41,8 @@ pub struct Separation {
     settled: bool,
     /// Sum of w over A, m^3/s.
     rate: f64,
+    /// On the right-hand side of solids, also from cells of A.
+    patch_forces: PatchForces,
     report: SeparationReport,
 }
 
@@ -86,7 +89,27 @@ impl Separation {
             ((0..may.len()).map(joins).collect(), open.clone())
         });
         let cells = (0..may.len()).map(|cell| candidates[cell] && before[cell]).collect();
-        Separation { candidates, beyond, cells, settled: true, rate: 0.0, report: SeparationReport::default() }
+        Separation {
+            candidates,
+            beyond,
+            cells,
+            settled: true,
+            rate: 0.0,
+            patch_forces: PatchForces::default(),
+            report: SeparationReport::default(),
+        }
+    }
+
+    /// The same with the forces of [`patch_pressure`](super::patch_pressure) on solids, which separated cells do not exert.
+    pub fn beside_solids(self, patch_forces: &PatchForces) -> Separation {
+        Separation { patch_forces: patch_forces.clone(), ..self }
+    }
+
+    /// What takes the forces of the separated cells out of the right-hand side of solids, N, three numbers per node; `None` where nothing does.
+    pub(super) fn relief(&self) -> Option<Vec<f64>> {
+        let separated = |cell: usize| self.cells[cell];
+        let forces = || self.patch_forces.of_cells(separated).into_iter();
+        self.patch_forces.has(separated).then(|| forces().flat_map(|force| (-force).to_array()).collect())
     }
 
     /// Gamma.
@@ -105,7 +128,7 @@ impl Separation {
     /// As [`solve`].
     pub fn solve(&mut self, system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, SolveReport), Error> {
         let mut iterations = 0;
-        let last = self.search(system, settings.tolerance, |masked| {
+        let last = self.search(system, settings.tolerance, |masked, _| {
             let (pressure, mut solution) = solve(masked, settings)?;
             iterations += solution.iterations;
             solution.iterations = iterations;
@@ -114,16 +137,17 @@ impl Separation {
         Ok((last.pressure, last.solution))
     }
 
-    /// Repeats a solve until the set is unchanged. Returns the last round, whose set stays in `cells`.
+    /// Repeats a solve until the set is unchanged. Returns the last round, whose set stays in `cells`. `solve` gets the system of a round and
+    /// [`Separation::relief`].
     pub(super) fn search<S>(
         &mut self,
         system: &PressureSystem,
         tolerance: f64,
-        mut solve: impl FnMut(&PressureSystem) -> Result<Round<S>, Error>,
+        mut solve: impl FnMut(&PressureSystem, Option<Vec<f64>>) -> Result<Round<S>, Error>,
     ) -> Result<Round<S>, Error> {
         let mut locked = vec![false; self.cells.len()];
         for round in 1.. {
-            let solved = solve(&system.masked(&self.cells))?;
+            let solved = solve(&system.masked(&self.cells), self.relief())?;
             let opening = opening(system, &solved.pressure, &solved.flux);
             let largest = |values: &[f64]| values.iter().fold(0.0, |max: f64, x| max.max(x.abs()));
             let least_pressure = -ROUNDING * largest(&solved.pressure);

@@ -377,8 +377,12 @@ impl Together<'_> {
         held: Option<&HeldRows>,
     ) -> Result<(CoupledSystem, CoupledSolution), Error> {
         let Together { pressure, separation, coupling, solver, solids, settings, iterations } = self;
-        let mut solved = |pressure: PressureSystem| -> Result<_, Error> {
-            let system = CoupledSystem::new(pressure, solid.clone(), coupling);
+        let mut solved = |pressure: PressureSystem, relief: Option<Vec<f64>>| -> Result<_, Error> {
+            let mut solid = solid.clone();
+            if let Some(relief) = relief {
+                solid.push(&relief);
+            }
+            let system = CoupledSystem::new(pressure, solid, coupling);
             let mut solution = match held {
                 None => {
                     let formulation = Formulation::of(&system);
@@ -393,10 +397,10 @@ impl Together<'_> {
             Ok((system, solution))
         };
         let Some(separation) = separation else {
-            return solved((*pressure).clone());
+            return solved((*pressure).clone(), None);
         };
-        let last = separation.search(pressure, settings.tolerance, |masked| {
-            let (system, solution) = solved(masked.clone())?;
+        let last = separation.search(pressure, settings.tolerance, |masked, relief| {
+            let (system, solution) = solved(masked.clone(), relief)?;
             let mut flux = vec![0.0; masked.rhs.len()];
             coupling.add_product(solution.velocity.as_flattened(), &mut flux);
             Ok(Round { pressure: solution.pressure.clone(), flux, solution: (system, solution) })
@@ -425,7 +429,7 @@ pub fn solve_coupled_in_contact(
     loop {
         let (system, solution) = together.solve(solid, None)?;
         // Liquid forces press nodes to walls too.
-        let mut pushed = solid.clone();
+        let mut pushed = system.solid.clone();
         let mut force = vec![0.0; pushed.rhs.len()];
         system.coupling.add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
@@ -670,7 +674,13 @@ pub fn solve_weak(
     pressure.rhs = rhs;
     pressure.rhs_scale += norm(&flux);
     let (field, pressure_report) = match separation {
-        Some(separation) => separation.solve(pressure, settings)?,
+        Some(separation) => {
+            let solved = separation.solve(pressure, settings)?;
+            if let Some(relief) = separation.relief() {
+                solid.push(&relief);
+            }
+            solved
+        }
         None => solve(pressure, settings)?,
     };
     let mut force = vec![0.0; solid.rhs.len()];

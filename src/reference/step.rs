@@ -13,7 +13,8 @@ use level::LevelResults;
 use super::boundary::Boundary;
 use super::path::Model;
 use super::{
-    ActiveCells, Contacts, CoupledSystem, Lost, PressureSystem, Separation, SolidMatrices, SolidSystem, TimeStep,
+    ActiveCells, Contacts, CoupledSystem, Lost, PatchForces, PressureSystem, Separation, SolidMatrices, SolidSystem,
+    TimeStep,
 };
 use crate::Error;
 use crate::elastic::Solids;
@@ -58,6 +59,8 @@ struct Results {
     volume_0_next: Option<f64>,
     active: Option<ActiveCells>,
     matrices: Option<SolidMatrices>,
+    /// Of all active cells.
+    patch_forces: PatchForces,
     /// All active cells as unknowns.
     pressure: Option<PressureSystem>,
     separation: Option<Separation>,

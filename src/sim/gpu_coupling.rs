@@ -506,8 +506,8 @@ impl GpuCoupling {
         (step, dt): (SolidStep, f64),
         (touch, displacement): (ContactState, &[[f64; 3]]),
     ) -> Result<(Solved, StageTimes), Error> {
-        let CouplingStages { closed_components, separated_flux, .. } = &self.stages;
-        let with = (Some(closed_components), separated_flux.as_ref(), together.tolerance());
+        let CouplingStages { closed_components, separated_flux, patch_pressure, .. } = &self.stages;
+        let with = (Some(closed_components), separated_flux.as_ref(), patch_pressure.as_ref(), together.tolerance());
         let (LiquidSolve { buffers, solver, .. }, mut rounds) = liquid.rounds(gpu, dt, with);
         let at = coupled((buffers, solver), solids, &self.buffers);
         let mut recorder = Recorder::timed(gpu);

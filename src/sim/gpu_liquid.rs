@@ -13,7 +13,7 @@ use crate::grid::Grid;
 use crate::reference::{self, Seeded, TimeStep};
 use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{Outcome, PressureSolver};
-use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe, Seal, Separation};
+use crate::stages::{self, Components, FreeSurface, PatchPressure, PressureSystem, Probe, Seal, Separation};
 use crate::state::{Exchange, LiquidReport, SeparationReport, State};
 use crate::step::Stage;
 
@@ -388,7 +388,7 @@ impl GpuLiquid {
         &'a mut self,
         gpu: &'a Gpu,
         dt: f64,
-        (seal, flux, tolerance): (Option<&'a Seal>, Option<&'a Dispatches>, f64),
+        (seal, flux, patches, tolerance): (Option<&'a Seal>, Option<&'a Dispatches>, Option<&'a PatchPressure>, f64),
     ) -> (LiquidSolve<'a>, Option<Rounds<'a>>) {
         let (buffers, solver) = (&self.buffers, &self.solver);
         let LiquidStages { active_cells, closed_components, solve, separation, .. } = &mut self.stages;
@@ -398,6 +398,7 @@ impl GpuLiquid {
             unmasked: (active_cells, closed_components, seal),
             stage,
             flux,
+            patches,
             tolerance,
             pascal: self.settings.density * buffers.plan.grid.dx / dt,
             dt,

@@ -3,8 +3,9 @@
 use crate::Error;
 use crate::fields::{LiquidBuffers, SolverBuffers};
 use crate::gpu::{Dispatches, Gpu, Recorder};
-use crate::stages::{Components, MAX_ROUNDS, PressureSystem, Seal, Separation};
+use crate::stages::{Components, MAX_ROUNDS, PatchPressure, PressureSystem, Seal, Separation};
 use crate::state::{SeparationReport, SolveStatus};
+use crate::step::Stage;
 
 /// The search for the separated cells of a sub-step.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub(super) struct Rounds<'a> {
     pub(super) stage: &'a mut Separation,
     /// Flux of solids out of the separated cells, where they are solved for with the liquid.
     pub(super) flux: Option<&'a Dispatches>,
+    /// What the right-hand side of solids has by cell, which separated ones do not exert.
+    pub(super) patches: Option<&'a PatchPressure>,
     /// Tolerance of the last solve.
     pub(super) tolerance: f64,
     /// Pressure of a potential of 1 m/s, Pa.
@@ -70,7 +73,7 @@ impl Rounds<'_> {
         mut recorder: Recorder,
         mut solve: impl FnMut(Recorder, Round, &mut dyn FnMut(&mut Recorder)) -> Result<(Solution, bool), Error>,
     ) -> Result<(Solution, Recorder), Error> {
-        let Rounds { gpu, fields: (liquid, solver), unmasked, flux, .. } = *self;
+        let Rounds { gpu, fields: (liquid, solver), unmasked, flux, patches, .. } = *self;
         let mut masks = self.report.cells > 0 || self.opens();
         let (mut changed, mut rough) = (masks, masks);
         for number in 1.. {
@@ -80,6 +83,9 @@ impl Rounds<'_> {
             if changed {
                 let fields = (liquid, solver);
                 self.stage.record_system(&mut recorder, fields, unmasked, Some(number));
+                if let Some(patches) = patches {
+                    recorder.stage(Stage::Solve.name(), |pass| patches.record(pass));
+                }
             }
             let tolerance = self.stage.write_round(gpu, (number, self.tolerance), rough);
             let mut update = |to: &mut Recorder| {

@@ -286,9 +286,13 @@ impl SubStep<'_, '_> {
         let coupling = self.path.coupling.as_ref();
         if let Some(solids) = &self.path.solids {
             let system = &solids.stages.system;
+            let patches = coupling.and_then(|c| c.stages.patch_pressure.as_ref());
+            if let Some(patches) = patches {
+                patches.record_clear(to);
+            }
             to.stage(Stage::RightHandSide.name(), |pass| {
                 system.record_right_hand_side(pass);
-                if let Some(patches) = coupling.and_then(|c| c.stages.patch_pressure.as_ref()) {
+                if let Some(patches) = patches {
                     patches.record(pass);
                 }
                 system.record_contacts(pass);
@@ -390,7 +394,8 @@ impl SubStep<'_, '_> {
         let mut recorder = end_recording(&mut self.recorder, gpu);
         let seal = coupling.as_ref();
         let seal = seal.map(|coupling| &coupling.stages.closed_components);
-        let with = (seal, None, liquid.stages.solve.tolerance());
+        let patches = coupling.as_ref().and_then(|coupling| coupling.stages.patch_pressure.as_ref());
+        let with = (seal, None, patches, liquid.stages.solve.tolerance());
         let (LiquidSolve { solver, solve, .. }, rounds) = liquid.rounds(gpu, self.dt, with);
         let seconds = &mut self.readback.seconds;
         let Some(mut rounds) = rounds else {

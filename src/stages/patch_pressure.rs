@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder};
 use crate::grid::Layout;
 use crate::step::Stage;
 use crate::wgsl;
@@ -151,7 +151,12 @@ impl PatchPressure {
         }
     }
 
-    /// Records what they add to the right-hand side.
+    /// Records that the right-hand side is a new one, without them.
+    pub fn record_clear(&self, to: &mut Recorder) {
+        to.clear(&self.correction.words);
+    }
+
+    /// Records what they add to the right-hand side, for the cells that are active now.
     pub fn record(&self, pass: &mut Pass) {
         pass.dispatch(&self.apply, self.n_nodes);
     }

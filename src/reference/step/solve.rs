@@ -47,6 +47,7 @@ impl SubStep<'_> {
         let finite = |solve: &SolveReport| solve.status != SolveStatus::NonFinite;
         let finite = self.results.solves.iter().flatten().all(finite);
         self.ensure_finite(Stage::Solve, finite)?;
+        self.sum_patch_forces();
         if let Some(clip) = self.boundary.clip() {
             let mut forces = vec![[0.0; 3]; self.results.node_forces.len()];
             let pressure = &self.after.pressure;
@@ -57,6 +58,17 @@ impl SubStep<'_> {
             sums.zip(forces.as_flattened()).for_each(|(sum, force)| *sum += force);
         }
         Ok(())
+    }
+
+    /// The forces by the variation of the pressure within cells, for the report and probes.
+    fn sum_patch_forces(&mut self) {
+        let separated = self.results.separation.as_ref().map(Separation::cells);
+        let exerts = |cell: usize| separated.is_none_or(|separated| !separated[cell]);
+        let forces = self.results.patch_forces.of_cells(exerts);
+        self.results.coupling.correction = forces.iter().copied().sum::<DVec3>().to_array();
+        self.results.node_forces = forces.iter().map(DVec3::to_array).collect();
+        let n_nodes = self.solids().map_or(0, |solids| solids.rest.len());
+        self.results.node_forces.resize(n_nodes, [0.0; 3]);
     }
 
     /// The cells that may leave walls and bodies, with that effect.
@@ -90,7 +102,7 @@ impl SubStep<'_> {
         let candidates =
             Candidates { touching: &touching, from_air: from_air.then_some(open), before: &self.before.separated };
         let pressure = self.results.pressure.as_ref()?;
-        Some(Separation::new(pressure, candidates, &receding))
+        Some(Separation::new(pressure, candidates, &receding).beside_solids(&self.results.patch_forces))
     }
 
     /// Makes the least pressure of enclosed components 0: their pressure has no level, and walls do not pull.

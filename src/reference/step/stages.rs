@@ -1,16 +1,14 @@
 //! The stages of a sub-step but for the solve, each named as in the schedule.
 
-use glam::DVec3;
-
 use super::SubStep;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::reference::{
-    Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource, active_cells,
-    advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies, ballistic_cells, carry_faces,
-    diagnose_liquid, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate_one_sided, forces,
-    hold_faces, hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes,
-    patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    Ballistic, Contacts, MovingWalls, Passed, PatchForces, PressureSystem, SolidSystem, Surface, VolumeSource,
+    active_cells, advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies, ballistic_cells,
+    carry_faces, diagnose_liquid, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate_one_sided,
+    forces, hold_faces, hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces,
+    open_volumes, patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
     solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
@@ -232,13 +230,10 @@ impl SubStep<'_> {
         let (solids, matrices) = (self.solids()?, self.results.matrices.as_ref()?);
         let obstacles = self.obstacles.as_deref()?;
         let dt = self.time_step.dt;
-        let forces = self.patch_forces(solids);
-        self.results.coupling.correction = forces.iter().copied().sum::<DVec3>().to_array();
-        self.results.node_forces = forces.iter().map(DVec3::to_array).collect();
-        self.results.node_forces.resize(solids.rest.len(), [0.0; 3]);
+        self.results.patch_forces = self.patch_forces(solids);
         let (displacement, velocity) = (&self.after.displacement, &mut self.after.node_velocity);
         let mut rhs = solid_right_hand_side(solids, matrices, velocity, dt);
-        rhs.add(solids, &forces);
+        rhs.add(solids, &self.results.patch_forces.of_cells(|_| true));
         let contacts = Contacts::new(solids, obstacles, displacement, &rhs.values, dt);
         let contacts = match self.model.effects.solid_contact {
             true => contacts.none_active(),
@@ -250,14 +245,14 @@ impl SubStep<'_> {
         Some((system, contacts))
     }
 
-    /// Forces on all nodes by the variation of the pressure within cells, N; empty without that effect.
-    fn patch_forces(&self, solids: &Solids) -> Vec<DVec3> {
+    /// Forces on all nodes by the variation of the pressure within cells; none without that effect.
+    fn patch_forces(&self, solids: &Solids) -> PatchForces {
         let (scene, before) = (&self.model.scene, self.before);
         let (clip, system) = (self.boundary.clip(), self.results.pressure.as_ref());
         let bodies = clip.zip(system).zip(self.liquid());
         let bodies = bodies.filter(|_| self.model.effects.patch_correction);
         let Some(((clip, system), liquid)) = bodies else {
-            return Vec::new();
+            return PatchForces::default();
         };
         let at_rest = liquid.density * scene.domain.gravity;
         let (grid, open) = (&self.model.grid, &clip.cut_cells().open);
