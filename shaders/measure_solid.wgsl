@@ -1,9 +1,10 @@
-// diagnose, for solids, first of two: sums over nodes of momentum m v, angular momentum m x cross v about the origin,
+// diagnose, for solids, first of two: the largest rate at which nodes close gaps (twin: Contacts::closing_rate), and sums over nodes of momentum m v, angular momentum m x cross v about the origin,
 // kinetic energy m |v|^2 / 2 and potential energy - m g . x. Elastic energy and determinants of the elements come
 // from solid_matrices.
 // One thread per share of both; each sums every n-th node, then every n-th element.
 // step. rest: m, kg. displacement: larger parts, then smaller, m. velocity: m/s. rotated: determinants in the third
-// section. element_forces: energies (J) in the first. partials: three sections of sums. extremes: see extremes.
+// section. element_forces: energies (J) in the first. gaps: see contact. partials: three sections of sums. extremes: see extremes.
+#import contact
 #import dispatch
 #import extremes
 #import pair
@@ -16,8 +17,24 @@
 @group(0) @binding(3) var<storage, read> velocity: array<Real4>;
 @group(0) @binding(4) var<storage, read> rotated: array<Real4>;
 @group(0) @binding(5) var<storage, read> element_forces: array<Real4>;
-@group(0) @binding(6) var<storage, read_write> partials: array<Real4>;
-@group(0) @binding(7) var<storage, read_write> extremes: array<atomic<u32>>;
+@group(0) @binding(6) var<storage, read> gaps: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> partials: array<Real4>;
+@group(0) @binding(8) var<storage, read_write> extremes: array<atomic<u32>>;
+
+fn closing_rate(node: u32, v: Real3) -> f32 {
+    let skin = SKIN * step.dx;
+    let walls = gaps[node];
+    let of_walls = closing_rate_of_walls(walls, v, skin);
+    let n_gaps = arrayLength(&gaps);
+    if n_gaps == step.n_nodes {
+        return of_walls;
+    }
+    var rate = 0.0;
+    if n_gaps > 2u * step.n_nodes {
+        rate = gaps[2u * step.n_nodes + node].x;
+    }
+    return max(of_walls, closing_rate_of_obstacle(walls, gaps[step.n_nodes + node], rate, v, step.dt, skin));
+}
 
 @compute @workgroup_size(WG_SIZE)
 fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -32,6 +49,7 @@ fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     var potential = Real();
     // As bits: they are ordered like the magnitudes, with NaN above all.
     var fastest = vec3<u32>();
+    var closing = 0u;
     for (var node = thread; node < step.n_nodes; node += n_threads) {
         let here = rest[node];
         let u = Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
@@ -42,6 +60,7 @@ fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
         turning += mass * Real4(cross(x, v), Real());
         potential -= mass * dot(Real3(step.gravity), x);
         fastest = max(fastest, bitcast<vec3<u32>>(abs(vec3<f32>(v))));
+        closing = max(closing, bitcast<u32>(closing_rate(node, v)));
     }
     var worst = 0u;
     var inverted = 0u;
@@ -55,6 +74,7 @@ fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     partials[n_threads + thread] = turning;
     partials[2u * n_threads + thread] = Real4(potential, Real(), Real(), Real());
     atomicMax(&extremes[FASTEST], max(max(fastest.x, fastest.y), fastest.z));
+    atomicMax(&extremes[CLOSING], closing);
     atomicMax(&extremes[WORST], worst);
     atomicAdd(&extremes[N_INVERTED], inverted);
 }

@@ -3,7 +3,7 @@
 // One thread per node.
 // level, step. rest: m, kg. displacement: larger parts, then smaller, m. obstacle_of_cell: number of the nearest moving
 // obstacle, from 1, or 0. obstacle_motions: velocity of the centre, m/s, angular velocity, rad/s, centre, m. rhs: forces,
-// N. gaps: see contact, second section, in place. freedom: see freedom, in place.
+// N. gaps: see contact, second section, in place; third, out. freedom: see freedom, in place.
 #import contact
 #import dispatch
 #import layout
@@ -30,6 +30,7 @@ fn moving_contacts(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let u = Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
     let x = vec3<f32>(Real3(rest[node].xyz) + pair_value(u));
     let number = obstacle_of_cell[cell_index(level, cell_of(level, x * step.inv_dx))];
+    gaps[2u * step.n_nodes + node] = vec4<f32>();
     if number == 0u {
         return;
     }
@@ -40,6 +41,7 @@ fn moving_contacts(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let rate = dot(velocity, surface.xyz);
     let gap = surface.w - step.dt * rate;
     gaps[step.n_nodes + node].w = gap;
+    gaps[2u * step.n_nodes + node].x = rate;
     let walls_only = vec4<f32>(vec3<f32>(), freedom[node].w);
     let force = free_part(walls_only, rhs[node].xyz);
     var next = walls_only;

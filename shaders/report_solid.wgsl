@@ -27,5 +27,6 @@ fn report_solid(@builtin(local_invocation_index) lane: u32) {
         report[MAX_SPEED] = extremes[FASTEST];
         report[MIN_DET] = of_smallness(extremes[WORST]);
         report[INVERTED] = extremes[N_INVERTED];
+        report[CLOSING_RATE] = extremes[CLOSING];
     }
 }

@@ -15,7 +15,7 @@ pub struct State {
     pub frame: u64,
     /// Length of the last sub-step, s; 0 before the first.
     pub dt_last: f64,
-    /// Longest next sub-step in which no solid passes through another, s; 0 without a limit.
+    /// Longest next sub-step in which no solid passes through another, a wall or an obstacle, s; 0 without a limit.
     pub contact_step: f64,
     /// Face velocities per axis (host face layout), m/s; 0 beyond the extrapolated layers.
     pub velocity: [Vec<f64>; 3],
@@ -328,7 +328,7 @@ impl Exchange {
 }
 
 /// Result of the active-set iteration for contacts of solids with walls and obstacles.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ContactReport {
     /// Active-set iterations.
     pub solves: u32,
@@ -336,16 +336,26 @@ pub struct ContactReport {
     pub unsettled: u32,
     /// Halvings of the next sub-step, since solids would pass through each other in one of this length; `None` where even a longer one is safe.
     pub next_halvings: Option<u32>,
+    /// Inverse of the longest next sub-step that takes no node through a wall or an obstacle, 1/s; 0 without a limit.
+    pub closing_rate: f64,
 }
 
 impl ContactReport {
     /// Longest next sub-step after one of dt (s) with a limit `before` (s), s; 0 without a limit. After a limit sub-steps at most double, since
-    /// contact was checked up to that.
+    /// contact was checked up to that. The solve keeps nodes in front of walls and obstacles for dt.
     pub fn next_step(&self, dt: f64, before: f64) -> f64 {
-        match self.next_halvings {
+        let bodies = match self.next_halvings {
             Some(times) => dt * 0.5_f64.powi(times as i32),
             None if before > 0.0 => 2.0 * dt,
-            None => 0.0,
+            None => f64::INFINITY,
+        };
+        let surfaces = match 2.0 * dt * self.closing_rate > 1.0 {
+            true => dt.max(1.0 / self.closing_rate),
+            false => f64::INFINITY,
+        };
+        match bodies.min(surfaces) {
+            f64::INFINITY => 0.0,
+            longest => longest,
         }
     }
 }

@@ -3,9 +3,9 @@
 // Contact of nodes with walls and obstacles; algorithm in reference/solid_contacts.rs.
 // gaps: per node the distances from the nearer walls across x, y, z, m, then its flags (see node_flags) plus eight
 // times the bits of the axes whose lower wall is nearer. With obstacles a second section: unit normal or 0, and
-// distance, m.
+// distance, m, after the next move for a node at rest. With moving ones a third: their velocity along the normal, m/s.
 
-// Gap below which a node is initially constrained if it is pressed to the surface, cells.
+// Gap below which a node is initially constrained if it is pressed to the surface, and what longer sub-steps may take it through, cells.
 const SKIN = 1e-3;
 // Tolerance of gaps and contact, cells.
 const NEAR = 1e-4;
@@ -60,6 +60,22 @@ fn before_obstacle(walls: vec4<f32>, surface: vec4<f32>, v: Real3, dt: Real) -> 
         return v;
     }
     return v + direction * ((-gap / dt - dot(v, n)) / dot(direction, n));
+}
+
+// The rate at which a node with the velocity v, m/s, closes its gap to a wall relative to that gap and the skin (m), 1/s.
+fn closing_rate_of_walls(walls: vec4<f32>, v: Real3, skin: f32) -> f32 {
+    let closing = max(vec3<f32>(-outwards(walls) * v), vec3<f32>());
+    let rates = select(vec3<f32>(), closing / (max(walls.xyz, vec3<f32>()) + skin), is_free(u32(walls.w)));
+    return max(max(rates.x, rates.y), rates.z);
+}
+
+// The same for an obstacle; surface: normal, gap after a move by dt (s) for a node at rest. rate: of the obstacle, m/s.
+fn closing_rate_of_obstacle(walls: vec4<f32>, surface: vec4<f32>, rate: f32, v: Real3, dt: f32, skin: f32) -> f32 {
+    if all(shared_direction(walls, surface.xyz) == Real3()) {
+        return 0.0;
+    }
+    let closing = rate - f32(dot(v, Real3(surface.xyz)));
+    return max(closing, 0.0) / (max(surface.w + dt * rate, 0.0) + skin);
 }
 
 // Adds the constraint along an obstacle's normal to a node constrained by walls only, in its free components.

@@ -1,8 +1,9 @@
-// Words of extremes: largest speed and least determinant as integers, whose maximum is independent of the order, and
+// Words of extremes: largest speed, least determinant and closing rate as integers, whose maximum is independent of the order, and
 // the number of inverted elements.
 const FASTEST = 0u;
 const WORST = 1u;
 const N_INVERTED = 2u;
+const CLOSING = 3u;
 
 const SIGN = 0x80000000u;
 // Bits of infinity.

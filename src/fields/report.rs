@@ -118,6 +118,8 @@ impl Report {
 pub struct SolidReport {
     /// Momenta, energies, speed, worst element.
     pub diagnosis: SolidDiagnosis,
+    /// See [`ContactReport`](crate::state::ContactReport), but 0 where rows hold contacts.
+    pub closing_rate: f64,
 }
 
 impl SolidReport {
@@ -128,6 +130,7 @@ impl SolidReport {
     pub fn from_words(words: &[u32]) -> SolidReport {
         let sum = |word: usize| sum(words, word);
         SolidReport {
+            closing_rate: single(words, 3),
             diagnosis: SolidDiagnosis {
                 max_speed: single(words, 0),
                 min_det: single(words, 1),

@@ -66,6 +66,11 @@ pub struct SolidPlan {
 }
 
 impl SolidPlan {
+    /// Entries of [`SolidBuffers::gaps`].
+    fn n_gaps(&self) -> usize {
+        (1 + usize::from(self.obstacles) + usize::from(self.n_moving > 0)) * self.n_nodes
+    }
+
     /// Threads of a reduction: enough for a large device, fewer for small solids. Each sums its own share of nodes
     /// and elements.
     pub fn n_summing(&self) -> usize {
@@ -80,7 +85,7 @@ const FREE: u32 = u32::MAX;
 /// Largest number of threads of a reduction.
 const LARGEST_SUMMING: usize = 16384;
 /// Words of [`SolidBuffers::extremes`].
-const EXTREMES: usize = 3;
+const EXTREMES: usize = 4;
 
 arrays! {
     /// Nodes and elements of all solids: n nodes, m elements. An array of several sections stores one section of all
@@ -104,8 +109,8 @@ arrays! {
             /// Per node: bits 0, 1, 2 are set where x, y, z is free. Padded with zeros to a multiple of four.
             pub array flags: u32 [plan.n_nodes.next_multiple_of(4)],
             /// Per node: distances from the nearer walls, m, and bits that name these walls. With obstacles a second
-            /// section contains unit normals and distances (`shaders/common/contact.wgsl`).
-            pub array gaps: [f32; 4] [(1 + usize::from(plan.obstacles)) * plan.n_nodes],
+            /// section contains unit normals and distances, with moving ones a third their rates (`shaders/common/contact.wgsl`).
+            pub array gaps: [f32; 4] [plan.n_gaps()],
             /// Per cell, device layout: number of the nearest moving obstacle, from 1, or 0 ([`ContactField`]).
             pub array obstacle_of_cell: u32 [plan.grid.padded().len()] if plan.n_moving > 0,
             /// Per moving obstacle, three entries: velocity of its centre (m/s), angular velocity (rad/s), centre (m).
@@ -135,7 +140,7 @@ arrays! {
             pub array prescribed: [f32; 4] [if plan.scripts { plan.n_nodes } else { 1 }],
             /// Partial sums of a reduction: three sections of `Real4`.
             pub real partials: (plan.real) [12 * plan.n_summing()],
-            /// Largest speed, least determinant, number of inverted elements (`shaders/measure_solid.wgsl`).
+            /// Largest speed, least determinant, number of inverted elements, closing rate (`shaders/measure_solid.wgsl`).
             pub array extremes: u32 [EXTREMES],
             /// Diagnostics that the host reads back once per step: see [`SolidReport`].
             pub array report: u32 [SolidReport::WORDS],

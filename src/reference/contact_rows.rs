@@ -23,14 +23,14 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::coupled_system::CoupledSystem;
-use super::solid_contacts::{Contacts, friction};
+use super::solid_contacts::{ActiveSurfaces, Contacts, friction};
 use super::solid_system::SolidSystem;
 use super::solve_coupled::{CoupledSolution, Together};
 use super::solve_solid::SolidSolver;
 use super::turn_solids::inverse_inertia;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::{ContactPair, contact_hits, contact_pairs};
+use crate::geometry::{ContactField, ContactPair, contact_hits, contact_pairs};
 use crate::linalg::{Row, RowSearch, UnilateralRows};
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport};
@@ -114,6 +114,7 @@ impl Touching<'_> {
     /// Reports by how much the next sub-step must be shorter, for velocities after the last solve (m/s, three numbers per node), and the meetings
     /// that are left in the shortest. Without velocities there was no solve with rows.
     pub fn shorten(&self, velocity: &[f64], report: &mut ContactReport) {
+        report.closing_rate = self.contacts.closing_rate(velocity.as_chunks::<3>().0);
         if velocity.is_empty() || self.hits(velocity, GROWTH * self.dt, OWN_PASSING).is_empty() {
             return;
         }
@@ -200,20 +201,27 @@ fn halvings(hits: impl Fn(f64) -> Vec<ContactPair>) -> (u32, u32) {
     (halvings.unwrap_or(MOST_HALVINGS), left)
 }
 
-/// The longest first sub-step (s) in which the initial motion takes no solid through another: `longest`, as often halved as that needs, or 0 without
-/// a limit. No solve is before it that could stop them. `displacement` in m, `velocity` in m/s, `dx` in m.
+/// The longest first sub-step (s) in which the initial motion takes no solid through a wall, an obstacle or, if solids `meet`, another: at most `longest`,
+/// and a 1024th of it at least; 0 without a limit. No solve before it could stop them. `displacement` in m, `velocity` in m/s.
 pub fn first_contact_step(
     solids: &Solids,
+    (obstacles, meet): (&ContactField, bool),
     displacement: &[[f64; 3]],
     velocity: &[[f64; 3]],
     longest: f64,
-    dx: f64,
 ) -> f64 {
     let positions = solids.moved(displacement).nodes;
-    match halvings(|part| hits(solids, &positions, velocity, (part * longest, OWN_PASSING), dx)) {
-        (0, _) => 0.0,
-        (times, _) => longest * 0.5_f64.powi(times as i32),
-    }
+    let dx = obstacles.grid.dx;
+    let times = match meet {
+        true => halvings(|part| hits(solids, &positions, velocity, (part * longest, OWN_PASSING), dx)).0,
+        false => 0,
+    };
+    let none = vec![ActiveSurfaces::default(); positions.len()];
+    let surfaces = Contacts::holding(solids, obstacles, displacement, &none, 0.0);
+    let share = |times: u32| 0.5_f64.powi(times as i32);
+    let of_surfaces = (longest * share(MOST_HALVINGS)).max(1.0 / surfaces.closing_rate(velocity));
+    let first = of_surfaces.min(longest * share(times));
+    if first < longest { first } else { 0.0 }
 }
 
 /// X and W of rows; `None` where S has no factor in f64.

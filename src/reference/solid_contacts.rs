@@ -21,6 +21,7 @@
 use glam::{DMat3, DVec3};
 
 use super::SolidSystem;
+use super::diagnose::larger;
 use super::sample::normal;
 use crate::elastic::Solids;
 use crate::geometry::ContactField;
@@ -34,7 +35,7 @@ pub const MAX_SOLVES: u32 = 20;
 pub const MOST_HALVINGS: u32 = 3;
 /// Sweeps over the surfaces of a node in the projection to feasibility; each may violate an earlier one.
 const SWEEPS: u32 = 4;
-/// Gap below which a node is initially constrained if it is pressed to the surface, cells.
+/// Gap below which a node is initially constrained if it is pressed to the surface, and what longer sub-steps may take it through, cells.
 const SKIN: f64 = 1e-3;
 /// Tolerance of gaps and contact, cells.
 const NEAR: f64 = 1e-4;
@@ -173,6 +174,8 @@ pub struct Contacts {
     dt: f64,
     /// Tolerance, m.
     near: f64,
+    /// [`SKIN`], m.
+    skin: f64,
 }
 
 impl Contacts {
@@ -248,7 +251,8 @@ impl Contacts {
             }
             surfaces
         });
-        Contacts { surfaces: surfaces.collect(), prescribed: solids.prescribed.clone(), dt, near: NEAR * grid.dx }
+        let [near, skin] = [NEAR, SKIN].map(|cells| cells * grid.dx);
+        Contacts { surfaces: surfaces.collect(), prescribed: solids.prescribed.clone(), dt, near, skin }
     }
 
     /// The rows of all surfaces that nodes may reach within a distance, m. `velocity`: of the nodes without rows, m/s, three numbers each.
@@ -314,6 +318,21 @@ impl Contacts {
             }
         }
         first
+    }
+
+    /// Largest a / (d + [`SKIN`]) of nodes with velocities (m/s) that close their gap to a surface, d (m) now, at a rate a, 1/s. Sub-steps up to its
+    /// inverse take no node through more than the skin.
+    pub fn closing_rate(&self, velocity: &[[f64; 3]]) -> f64 {
+        let nodes = self.surfaces.iter().zip(&self.prescribed).zip(velocity);
+        let rates = nodes.flat_map(|((surfaces, &prescribed), v)| {
+            let moves = move |surface: &&Surface| Freedom::of(prescribed).shared(surface.normal).is_some();
+            surfaces.iter().flatten().filter(moves).map(|surface| {
+                let gap = surface.gap + self.dt * surface.rate;
+                let closing = surface.rate - DVec3::from(*v).dot(surface.normal);
+                closing.max(0.0) / (gap.max(0.0) + self.skin)
+            })
+        });
+        rates.fold(0.0, larger)
     }
 
     /// Tolerance of penetration and adhesion, m.
@@ -524,7 +543,7 @@ impl<'a> ContactSearch<'a> {
         self.solves += 1;
         let violations = self.contacts.judge(system, &minimiser);
         let unsettled = violations.beyond + violations.pulled;
-        let report = ContactReport { solves: self.solves, unsettled, next_halvings: None };
+        let report = ContactReport { solves: self.solves, unsettled, ..ContactReport::default() };
         if report.unsettled == 0 {
             return SearchStep { velocity: minimiser, ended: true, report };
         }

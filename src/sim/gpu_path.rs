@@ -68,7 +68,7 @@ impl GpuPath {
         let plan = Plan::with(scene, solids, Some(&obstacles), parts, Some(gpu.report()))?;
         plan.check(gpu.report())?;
         memory.beside(plan.bytes(), gpu.report()).check()?;
-        let mut state = super::first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
+        let mut state = super::first_state(scene, solids, &obstacles, clip.as_ref())?;
         let walls = clip.as_ref().map(|clip| (clip, &solids.triangles[..]));
         let cut = obstacles.static_cut().clone();
         let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);

@@ -302,7 +302,7 @@ impl GpuSolids {
                 search.record_judge(pass);
             })?;
             let unsettled = penetrating + adhering;
-            let mut contact = ContactReport { solves, unsettled, next_halvings: None };
+            let mut contact = ContactReport { solves, unsettled, ..ContactReport::default() };
             if unsettled == 0 || (together && !status.is_best_attainable()) {
                 return Ok((solution, contact, query.seconds));
             }

@@ -316,7 +316,7 @@ fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
     HostMemory::new(scene, solids, true)?.check()?;
     let obstacles = geometry::obstacle_cut(scene, &scene.grid())?;
     let clip = first_clip(scene, solids, &obstacles);
-    let state = first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
+    let state = first_state(scene, solids, &obstacles, clip.as_ref())?;
     Reference::new(scene, obstacles, solids.clone(), state)
 }
 
@@ -330,16 +330,23 @@ fn first_clip(scene: &Scene, solids: &Solids, obstacles: &ObstacleCut) -> Option
 }
 
 /// The initial state for [`reference::prepare`]. Liquid is seeded outside the solids.
-fn first_state(scene: &Scene, solids: &Solids, obstacles: &CutCells, clip: Option<&SolidClip>) -> Result<State, Error> {
-    let cut = clip.map_or(obstacles, SolidClip::cut_cells);
+fn first_state(
+    scene: &Scene,
+    solids: &Solids,
+    obstacles: &ObstacleCut,
+    clip: Option<&SolidClip>,
+) -> Result<State, Error> {
+    let cut = clip.map_or(&obstacles.cut, SolidClip::cut_cells);
     let (displacement, velocity) = solids.initial_state(scene);
-    solids.ensure_clearance(scene, &obstacles.solid_distance, &displacement)?;
+    solids.ensure_clearance(scene, &obstacles.cut.solid_distance, &displacement)?;
     let grid = scene.grid();
     let mut state = geometry::initial_state(scene, &grid, cut)?;
-    if Effects::of(scene).solid_contact {
+    if !solids.rest.is_empty() {
         let longest = scene.time.fixed_step.or(scene.time.max_step).unwrap_or(f64::INFINITY);
         let longest = longest.min(1.0 / scene.time.frames_per_second);
-        state.contact_step = reference::first_contact_step(solids, &displacement, &velocity, longest, grid.dx);
+        let field = obstacles.contact_field(&grid);
+        let meet = Effects::of(scene).solid_contact;
+        state.contact_step = reference::first_contact_step(solids, (&field, meet), &displacement, &velocity, longest);
     }
     (state.displacement, state.node_velocity) = (displacement, velocity);
     Ok(state)

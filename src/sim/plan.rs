@@ -99,7 +99,7 @@ impl Plan {
             // cells.
             HostMemory::new(scene, &solids, false)?.check()?;
             let obstacles = geometry::obstacle_cut(scene, &grid)?;
-            super::first_state(scene, &solids, &obstacles.cut, clip.as_ref())?;
+            super::first_state(scene, &solids, &obstacles, clip.as_ref())?;
         }
         Ok(plan)
     }

@@ -104,7 +104,7 @@ impl GpuPath {
     }
 
     /// Advances the clock and returns the report of the sub-step.
-    fn finish(&mut self, time_step: TimeStep, readback: StepReadback) -> StepReport {
+    fn finish(&mut self, time_step: TimeStep, mut readback: StepReadback) -> StepReport {
         let TimeStep { dt, floored, wave_cfl, .. } = time_step;
         if let Some(liquid) = &self.liquid {
             self.head.sources_running = liquid.running_after(&self.head).running.into();
@@ -113,6 +113,9 @@ impl GpuPath {
         let liquid = self.liquid.as_mut();
         let liquid = liquid.zip(readback.pressure.zip(readback.liquid));
         let solids = self.solids.as_mut();
+        if let Some(((_, contact), report)) = readback.velocity.as_mut().zip(readback.solids) {
+            contact.closing_rate = contact.closing_rate.max(report.closing_rate);
+        }
         let before = self.head.contact_step;
         self.head.contact_step = readback.velocity.as_ref().map_or(0.0, |(_, contact)| contact.next_step(dt, before));
         let solids = solids.zip(readback.velocity.zip(readback.solids));

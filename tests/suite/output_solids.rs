@@ -187,7 +187,7 @@ fn a_node_that_is_not_finite_is_refused() {
 fn solid_report() -> SolidReport {
     SolidReport {
         solve: SolveReport { unknowns: 321, iterations: 17, residual: 3.25e-9, status: SolveStatus::Stagnated },
-        contact: ContactReport { solves: 5, unsettled: 2, next_halvings: Some(3) },
+        contact: ContactReport { solves: 5, unsettled: 2, next_halvings: Some(3), closing_rate: 0.0 },
         diagnosis: SolidDiagnosis {
             momentum: [1.0 / 3.0, -2e-17, 3e20],
             angular_momentum: [4.0, 5.5, -6.0],

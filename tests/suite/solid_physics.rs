@@ -6,7 +6,7 @@ use cutwater::geometry::obstacle_cut;
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep};
-use cutwater::scene::{ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh};
+use cutwater::scene::{ElasticModel, Keyframe, Motion, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh};
 use cutwater::sim::{Backend, Options, Simulation};
 use cutwater::state::{ContactReport, SolidReport, SolveStatus, State};
 use glam::{DMat3, DQuat, DVec3};
@@ -253,6 +253,74 @@ fn impacts_add_no_energy() {
                 }
             }
             assert!(height < 1e-6, "it falls as far as the floor");
+        }
+    }
+}
+
+/// A stiff block is thrown at the floor, a wall, or an obstacle, or a moving obstacle comes up to it, with a first sub-step that takes it there, or most of
+/// the way, or a third: no sub-step, however much longer than the last, takes it through by more than a thousandth of a cell, and both
+/// backends take the same ones.
+#[test]
+fn longer_sub_steps_take_no_body_through_a_surface() {
+    let mut throws = Vec::new();
+    for (speed, gap, obstacle) in [(-2.0, 0.02, ""), (2.0, 0.02, ""), (-2.0, 0.02, "rest"), (0.0, 0.02, "moves")] {
+        let mut solid = block([0.4; 3], [2; 3]);
+        solid.young = 1e8;
+        solid.initial.velocity.y = speed;
+        let floor = if obstacle.is_empty() { 0.0 } else { 1.0 };
+        let height = if speed > 0.0 { 3.8 - gap } else { floor + 0.2 + gap };
+        solid.placement.translate = DVec3::new(2.0, height, 2.0);
+        let mut scene = scene_of(vec![solid]);
+        scene.domain.cells = [40; 3];
+        if !obstacle.is_empty() {
+            let key = |time: f64| Keyframe { time, translate: 2.0 * time * DVec3::Y, axis: DVec3::Y, angle: 0.0 };
+            let motion = Motion { keyframes: vec![key(0.0), key(1.0)], pivot: None };
+            scene.obstacles = vec![Obstacle {
+                shape: Shape::Box { min: DVec3::new(-1.0, -1.0, -1.0), max: DVec3::new(5.0, 1.0, 5.0) },
+                placement: Placement::default(),
+                inside_out: false,
+                motion: (obstacle == "moves").then_some(motion),
+                friction: 0.0,
+            }];
+        }
+        throws.push((scene, (speed, obstacle)));
+    }
+    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    for ((scene, what), share) in throws.iter().flat_map(|throw| [1.0, 0.7, 0.3].map(|share| (throw, share))) {
+        let mut steps = Vec::new();
+        for backend in [Some(Backend::Cpu), device.clone()].into_iter().flatten() {
+            let mut simulation = Simulation::new(scene, &backend).unwrap();
+            let solids = simulation.solids().clone();
+            let mut state = simulation.state().unwrap();
+            assert!((state.contact_step - 0.01005).abs() < 1e-6, "{what:?}: {} s", state.contact_step);
+            state.contact_step *= share;
+            let carried = simulation.carried().unwrap();
+            simulation.resume(&state, &carried).unwrap();
+            let mut taken = Vec::new();
+            for _ in 0..12 {
+                let contact = simulation.step().unwrap().solid.unwrap().contact;
+                let state = simulation.state().unwrap();
+                taken.push((state.dt_last, contact.closing_rate));
+                let floor = match what.1 {
+                    "" => 0.0,
+                    "rest" => 1.0,
+                    _ => 1.0 + 2.0 * state.time,
+                };
+                let nodes = solids.rest.iter().zip(&state.displacement);
+                for (rest, u) in nodes {
+                    let y = rest.y + u[1];
+                    let through = (floor - y).max(y - 4.0);
+                    assert!(
+                        through <= 1.1e-3 * scene.grid().dx,
+                        "{what:?}, {share}, {backend:?}: {through} m at {} s",
+                        state.time
+                    );
+                }
+            }
+            steps.push(taken);
+        }
+        for (a, b) in steps[0].iter().zip(steps.last().unwrap()) {
+            assert!((a.0 - b.0).abs() <= 1e-3 * a.0, "{what:?}, {share}: {steps:?}");
         }
     }
 }

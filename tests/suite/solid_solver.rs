@@ -3,13 +3,14 @@
 use std::sync::Arc;
 
 use cutwater::elastic::{Bounds, Solids};
-use cutwater::fields::{ObstacleBuffers, SolidBuffers, SolidRows, SolidSystemBuffers, variant};
+use cutwater::fields::{ObstacleBuffers, SolidBuffers, SolidReport, SolidRows, SolidSystemBuffers, variant};
 use cutwater::geometry::RigidVelocity;
 use cutwater::gpu::{Gpu, Pass, Real, RealBuffer, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
 use cutwater::reference::{self, BlockPattern, Contacts, Freedom, SolidSystem as Twin};
 use cutwater::scene::{Precision, Solver};
 use cutwater::solver::{ObstacleField, Outcome, Polynomial, SolidSolver, SolidSystem, rounding};
+use cutwater::stages::diagnose_solid;
 use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 
@@ -345,6 +346,15 @@ fn assert_contacts(what: &str, case: &SolidCase, twin: &Twin, device: &Device) -
         let off = wanted.distance(found);
         assert!(off <= bound, "{what}: node {node}: {found} m/s for {wanted}");
     }
+    let mut recorder = Recorder::new(device.gpu);
+    diagnose_solid(device.gpu, &device.fields).unwrap().record(&mut recorder);
+    recorder.submit();
+    let report = SolidReport::from_words(&device.gpu.download(&device.fields.report).unwrap());
+    let rate = contacts.closing_rate(&found);
+    let reach = largest_length(&case.displacement) + case.grid.size().length();
+    // Over a gap of at least a thousandth of a cell.
+    let bound = (1e-4 + 16.0 * eps(Real::F32) * reach / (1e-3 * case.grid.dx)) * rate;
+    assert!((report.closing_rate - rate).abs() <= bound, "{what}: {} of {rate} 1/s", report.closing_rate);
     contacts
 }
 

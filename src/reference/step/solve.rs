@@ -48,6 +48,9 @@ impl SubStep<'_> {
         let finite = self.results.solves.iter().flatten().all(finite);
         self.ensure_finite(Stage::Solve, finite)?;
         self.sum_patch_forces();
+        if let Some((_, contacts)) = self.results.solid.as_ref().filter(|_| !self.model.effects.solid_contact) {
+            self.results.contact.closing_rate = contacts.closing_rate(&self.after.node_velocity);
+        }
         if let Some(clip) = self.boundary.clip() {
             let mut forces = vec![[0.0; 3]; self.results.node_forces.len()];
             let pressure = &self.after.pressure;
