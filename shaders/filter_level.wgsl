@@ -86,7 +86,7 @@ fn filter_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     while wanted != 0u {
         let n = firstTrailingBit(wanted);
         wanted &= wanted - 1u;
-        phi[n] -= level_step.motion * change(first + n);
+        phi[n] -= min(level_step.courant, 1.0) * change(first + n);
     }
     next_level[quad] = phi;
 }

@@ -1,24 +1,24 @@
 // volume_shift: moves the level of every component with a surface towards its target (equation in the twin,
 // reference/volume_shift.rs). One thread per quad of the band.
-// step. band_args, band_list: the band. component: labels. component_sums: volumes, with the mark of a surface. areas:
+// step, level_step. band_args, band_list: the band. component: labels. component_sums: volumes, with the mark of a surface. areas:
 // see component_areas. component_volume: targets, volumes of a cell. liquid_distance: m; in place.
 #import component_sums
 #import dispatch
+#import level_step
 #import step
 
 @group(0) @binding(0) var<uniform> step: Step;
-@group(0) @binding(1) var<storage, read> band_args: array<u32>;
-@group(0) @binding(2) var<storage, read> band_list: array<u32>;
-@group(0) @binding(3) var<storage, read> component: array<vec4<u32>>;
-@group(0) @binding(4) var<storage, read> component_sums: array<vec2<u32>>;
-@group(0) @binding(5) var<storage, read> areas: array<vec2<u32>>;
-@group(0) @binding(6) var<storage, read> component_volume: array<f32>;
-@group(0) @binding(7) var<storage, read_write> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(1) var<uniform> level_step: LevelStep;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
+@group(0) @binding(4) var<storage, read> component: array<vec4<u32>>;
+@group(0) @binding(5) var<storage, read> component_sums: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read> areas: array<vec2<u32>>;
+@group(0) @binding(7) var<storage, read> component_volume: array<f32>;
+@group(0) @binding(8) var<storage, read_write> liquid_distance: array<vec4<f32>>;
 
-// The constants of reference/volume_shift.rs: part of the target within which nothing moves, and the largest shift in a
-// sub-step, cells.
+// Part of the target within which nothing moves, as in reference/volume_shift.rs.
 const DEAD_BAND = 0.005;
-const LARGEST = 0.04;
 
 // Shift of a component, cells.
 fn shift_of(label: u32) -> f32 {
@@ -30,7 +30,8 @@ fn shift_of(label: u32) -> f32 {
     let goal = component_volume[label];
     let lacks = goal - volume_of(volume);
     let moved = sign(lacks) * max(abs(lacks) - DEAD_BAND * abs(goal), 0.0);
-    return clamp(moved * min(step.dt / step.control_time, 1.0) / area, -LARGEST, LARGEST);
+    let largest = largest_shift(level_step.courant);
+    return clamp(moved * min(step.dt / step.control_time, 1.0) / area, -largest, largest);
 }
 
 @compute @workgroup_size(WG_SIZE)

@@ -5,12 +5,17 @@ struct LevelStep {
     number: u32,
     // Slots for markers.
     capacity: u32,
-    // Motion in the sub-step: TimeStep::motion in reference/time_step.rs.
-    motion: f32,
+    // Courant number of the surface: TimeStep::courant in reference/time_step.rs.
+    courant: f32,
     // Slots freed after seeds filled all of them, for the rest of the seeds; else 0.
     freed: u32,
     // Volume that sources renew (reference/level_exchange.rs), volumes of a cell; 0 without.
     renewed: f32,
     pad_0: u32,
     pad_1: u32,
+}
+
+// Largest shift of the level, cells: largest_shift of the twin, reference/volume_shift.rs.
+fn largest_shift(courant: f32) -> f32 {
+    return 0.04 * max(courant, 1.0);
 }

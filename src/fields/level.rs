@@ -18,8 +18,8 @@ pub struct LevelStep {
     pub number: u32,
     /// Slots for markers.
     pub capacity: u32,
-    /// Motion in the sub-step ([`TimeStep::motion`](crate::reference::TimeStep::motion)).
-    pub motion: f32,
+    /// Courant number of the surface ([`TimeStep::courant`](crate::reference::TimeStep::courant)).
+    pub courant: f32,
     /// Slots freed after seeds filled all of them, for the rest of the seeds; else 0.
     pub freed: u32,
     /// Volume that sources renew ([`renewed_volume`](crate::reference::renewed_volume)), volumes of a cell; 0 without.
@@ -132,9 +132,9 @@ impl LevelBuffers {
         level.then(new).transpose()
     }
 
-    /// Writes seed, number and motion of a sub-step, and the volume that sources renew, volumes of a cell.
-    pub fn write_step(&self, gpu: &Gpu, numbers: [u32; 2], motion: f64, renewed: f64) {
-        self.write(gpu, numbers, [motion, renewed], 0);
+    /// Writes seed and number of a sub-step, the Courant number of its surface, and the volume that sources renew, volumes of a cell.
+    pub fn write_step(&self, gpu: &Gpu, numbers: [u32; 2], courant: f64, renewed: f64) {
+        self.write(gpu, numbers, [courant, renewed], 0);
     }
 
     /// Writes the slots freed after seeds filled all of them, with seed and number of the sub-step.
@@ -142,12 +142,12 @@ impl LevelBuffers {
         self.write(gpu, numbers, [0.0; 2], freed as u32);
     }
 
-    fn write(&self, gpu: &Gpu, [seed, number]: [u32; 2], [motion, renewed]: [f64; 2], freed: u32) {
+    fn write(&self, gpu: &Gpu, [seed, number]: [u32; 2], [courant, renewed]: [f64; 2], freed: u32) {
         let step = LevelStep {
             seed,
             number,
             capacity: self.plan.n_markers as u32,
-            motion: motion as f32,
+            courant: courant as f32,
             freed,
             renewed: renewed as f32,
             ..LevelStep::default()

@@ -11,7 +11,6 @@
 //! cells. One that also ran in the last sub-step emits dt times its flux. Each volume belongs to the component in its cell.
 
 use super::level_cells::{BAND, filled};
-use super::volume_shift::LARGEST;
 use crate::geometry::{Fill, Running, SourcesAndSinks};
 use crate::grid::{Axis, Grid, Sides};
 
@@ -50,11 +49,16 @@ pub fn outflow(
     Axis::ALL.map(|axis| of_axis(axis).collect::<Vec<_>>()).concat()
 }
 
-/// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What the last
-/// shift of the level left there does not count, initial liquid does.
-pub fn sunk_volumes(taps: &SourcesAndSinks, open_volumes: &[f64], before: &[f64], carried: &[f64]) -> Vec<CellVolume> {
+/// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What a shift of the level left
+/// there, at most `largest` ([`largest_shift`](super::largest_shift)), does not count, initial liquid does.
+pub fn sunk_volumes(
+    taps: &SourcesAndSinks,
+    open_volumes: &[f64],
+    [before, carried]: [&[f64]; 2],
+    largest: f64,
+) -> Vec<CellVolume> {
     let sunk = taps.sink_cells.iter().map(|&cell| {
-        let came = filled(carried[cell]) - filled(before[cell]).min(LARGEST);
+        let came = filled(carried[cell]) - filled(before[cell]).min(largest);
         (cell, open_volumes[cell] * came.max(0.0))
     });
     sunk.collect()

@@ -124,5 +124,5 @@ pub use stress_variables::{StressSystem, StressVariables};
 pub use surface_distance::surface_distance;
 pub use time_step::{StepLimits, TimeStep};
 pub use turn_solids::turn_solids;
-pub use volume_shift::volume_shift;
+pub use volume_shift::{largest_shift, volume_shift};
 pub use write_back::write_back;

@@ -166,6 +166,17 @@ impl Reference {
         &self.node_forces
     }
 
+    /// Replaces [`State::contact_step`], s.
+    pub(crate) fn limit_step(&mut self, longest: f64) {
+        self.state.contact_step = longest;
+    }
+
+    /// The obstacles as the nodes of solids meet them.
+    pub(crate) fn contact_field(&self) -> ContactField {
+        let none = || ContactField::at_rest(&self.model.grid, Vec::new());
+        self.obstacles.clone().unwrap_or_else(none)
+    }
+
     /// Cut cells of obstacles and immersed solids.
     pub fn cut_cells(&self) -> &CutCells {
         self.boundary.cut_cells()

@@ -12,7 +12,7 @@ use super::liquid_components::{Components, liquid_components};
 use super::liquid_distance::{extend_level, liquid_distance};
 use super::marker_band::{Markers, first_markers};
 use super::redistance::redistance;
-use super::volume_shift::volume_shift;
+use super::volume_shift::{largest_shift, volume_shift};
 use crate::Error;
 use crate::geometry::{CutCells, LiquidSurface, SolidClip};
 use crate::grid::{Axis, Grid};
@@ -93,7 +93,7 @@ fn prepare_level(grid: &Grid, cut: &CutCells, open_volumes: &[f64], surface: &Li
     state.liquid_distance = level.iter().map(|phi| phi * grid.dx).collect();
     for _ in 0..SHIFTS {
         let distance = &mut state.liquid_distance;
-        let whole = [1.0; 2];
+        let whole = ([1.0; 2], largest_shift(0.0));
         let shifts = volume_shift(grid, open_volumes, &components, &targets, whole, distance);
         if shifts.iter().all(|&shift| shift == 0.0) {
             break;

@@ -29,15 +29,20 @@ pub struct TimeStep {
     pub control_time: f64,
     /// dt sqrt(a / dx), a the largest acceleration.
     pub wave_cfl: f64,
-    /// min(1, dt speed / dx + dt sqrt(a / dx)): cells that the surface moves at most, up to one. What smooths the surface in
-    /// every sub-step is scaled with it, so that short sub-steps do not smooth more.
-    pub motion: f64,
+    /// Courant number of the surface, dt speed / dx + dt sqrt(a / dx): cells that it moves at most.
+    pub courant: f64,
 }
 
 impl TimeStep {
     /// No time passes.
     pub const NONE: TimeStep =
-        TimeStep { dt: 0.0, floored: false, control_time: f64::INFINITY, wave_cfl: 0.0, motion: 0.0 };
+        TimeStep { dt: 0.0, floored: false, control_time: f64::INFINITY, wave_cfl: 0.0, courant: 0.0 };
+
+    /// Cells that the surface moves at most, up to one. What smooths the surface in every sub-step is scaled with it, so that
+    /// short sub-steps do not smooth more.
+    pub fn motion(&self) -> f64 {
+        self.courant.min(1.0)
+    }
 
     /// Largest slope by which the velocity of a liquid with a level continues beyond its surface, m/s per cell: dx / (2 dt), dt at least the limit of
     /// waves. Waves have less. A steeper one is an impact's, whose jets would gain energy, the more the shorter the sub-steps.
@@ -99,7 +104,7 @@ impl StepLimits {
                 floored,
                 control_time: self.control_time(speed),
                 wave_cfl,
-                motion: (dt * speed / self.dx + wave_cfl).min(1.0),
+                courant: dt * speed / self.dx + wave_cfl,
             }
         };
         if let Some(fixed) = self.fixed_step {

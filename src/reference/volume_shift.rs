@@ -1,11 +1,11 @@
 //! `volume_shift`: moves the level of each liquid component towards its target volume.
 //!
 //! ```text
-//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, +-0.04),   A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
+//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, +-0.04 max(1, C)),   A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
 //! phi -= h_k
 //! ```
 //!
-//! in cells and cell volumes. dV_k is the target less the volume, less a dead band of 0.5 % of the target. The measured
+//! in cells and cell volumes. C is the Courant number of the surface, since errors of its transport grow with its way. dV_k is the target less the volume, less a dead band of 0.5 % of the target. The measured
 //! volume of a wave changes by that much at constant true volume, and a shift by it would amplify the wave. Enclosed
 //! components have no surface to move.
 
@@ -16,16 +16,21 @@ use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
 const DEAD_BAND: f64 = 0.005;
-/// Largest shift in a sub-step, cells.
-pub(super) const LARGEST: f64 = 0.04;
+/// Largest shift in a sub-step over the way of the surface, or over one cell if that is more.
+const LARGEST: f64 = 0.04;
 
-/// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s. Returns the shifts, cells.
+/// Largest shift in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
+pub fn largest_shift(courant: f64) -> f64 {
+    LARGEST * courant.max(1.0)
+}
+
+/// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s; `largest` from [`largest_shift`]. Returns the shifts, cells.
 pub fn volume_shift(
     grid: &Grid,
     open_volumes: &[f64],
     components: &Components,
     volume_0: &[f64],
-    [control_time, dt]: [f64; 2],
+    ([control_time, dt], largest): ([f64; 2], f64),
     liquid_distance: &mut [f64],
 ) -> Vec<f64> {
     let mut area = vec![0.0; volume_0.len()];
@@ -41,7 +46,7 @@ pub fn volume_shift(
         let lacks = lacks.signum() * (lacks.abs() - dead).max(0.0);
         match components.enclosed[k] || area[k] <= 0.0 {
             true => 0.0,
-            false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-LARGEST, LARGEST),
+            false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-largest, largest),
         }
     };
     let shifts: Vec<f64> = (0..volume_0.len()).map(shift).collect();

@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use super::{Path, Simulation};
+use super::{Path, Simulation, first_contact_step};
 use crate::Error;
 use crate::grid::Axis;
 use crate::scene::{Keyframe, MAX_VELOCITY, Scene};
@@ -53,6 +53,19 @@ impl Simulation {
             motion.keyframes = keyframes;
         }
         self.follow();
+        if self.clock().step > 0 || self.solids.rest.is_empty() {
+            return Ok(());
+        }
+        let mut field = match &self.path {
+            Path::Gpu(path) => path.contact_field(),
+            Path::Cpu(path) => path.contact_field(),
+        };
+        field.move_to(time, 0.0);
+        let first = first_contact_step(&self.scene, &self.solids, &field, &self.state()?);
+        match &mut self.path {
+            Path::Gpu(path) => path.limit_step(first),
+            Path::Cpu(path) => path.limit_step(first),
+        }
         Ok(())
     }
 

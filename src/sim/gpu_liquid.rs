@@ -350,7 +350,7 @@ impl GpuLiquid {
         if let Some(level) = &self.level {
             let renewed = self.renewed_volume(time_step);
             let numbers = [self.running.seed, self.running.step];
-            level.write_step(gpu, numbers, time_step.motion, renewed);
+            level.write_step(gpu, numbers, time_step.courant, renewed);
             if self.sources.is_some() {
                 level.write_used(gpu, self.n_slots());
             }

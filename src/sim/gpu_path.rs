@@ -381,6 +381,11 @@ impl GpuPath {
         self.clip().map_or(&self.cut, SolidClip::cut_cells)
     }
 
+    /// Replaces [`State::contact_step`], s.
+    pub(super) fn limit_step(&mut self, longest: f64) {
+        self.head.contact_step = longest;
+    }
+
     /// The obstacles as the nodes of solids meet them.
     pub fn contact_field(&self) -> ContactField {
         let moving = self.solids.as_ref().and_then(GpuSolids::moving);

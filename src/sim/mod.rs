@@ -30,7 +30,7 @@ pub use warnings::warnings;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{NodeReadback, Solids};
-use crate::geometry::{self, CutCells, ObstacleCut, SolidClip, SourceFlow};
+use crate::geometry::{self, ContactField, CutCells, ObstacleCut, SolidClip, SourceFlow};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::grid::Axis;
 use crate::reference::{self, Reference};
@@ -341,13 +341,17 @@ fn first_state(
     solids.ensure_clearance(scene, &obstacles.cut.solid_distance, &displacement)?;
     let grid = scene.grid();
     let mut state = geometry::initial_state(scene, &grid, cut)?;
-    if !solids.rest.is_empty() {
-        let longest = scene.time.fixed_step.or(scene.time.max_step).unwrap_or(f64::INFINITY);
-        let longest = longest.min(1.0 / scene.time.frames_per_second);
-        let field = obstacles.contact_field(&grid);
-        let meet = Effects::of(scene).solid_contact;
-        state.contact_step = reference::first_contact_step(solids, (&field, meet), &displacement, &velocity, longest);
-    }
     (state.displacement, state.node_velocity) = (displacement, velocity);
+    if !solids.rest.is_empty() {
+        state.contact_step = first_contact_step(scene, solids, &obstacles.contact_field(&grid), &state);
+    }
     Ok(state)
+}
+
+/// [`State::contact_step`] of an initial state.
+fn first_contact_step(scene: &Scene, solids: &Solids, obstacles: &ContactField, state: &State) -> f64 {
+    let longest = scene.time.fixed_step.or(scene.time.max_step).unwrap_or(f64::INFINITY);
+    let longest = longest.min(1.0 / scene.time.frames_per_second);
+    let with = (obstacles, Effects::of(scene).solid_contact);
+    reference::first_contact_step(solids, with, &state.displacement, &state.node_velocity, longest)
 }

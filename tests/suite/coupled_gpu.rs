@@ -10,7 +10,7 @@ use cutwater::measure::export;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::scene::{CouplingScheme, Formulation, Precision, Scene, Solver, Surface};
 use cutwater::sim::{Backend, Plan, Simulation, reference_path};
-use cutwater::state::SolveStatus;
+use cutwater::state::{ContactReport, SolveStatus};
 use glam::DVec3;
 
 use crate::common::{digest, gpu, on_gpu, same_with_any_number_of_threads, scene_from as scene};
@@ -234,7 +234,10 @@ fn steps_are_the_twins() {
             assert!(moved <= 1e-7, "{moved:e} m, {what}");
 
             let [of_twin, of_device] = [&twin, &report].map(|report| (report.liquid.unwrap(), report.solid.unwrap()));
-            assert_eq!(of_device.1.contact, of_twin.1.contact, "{what}");
+            let [contact, twins] = [of_device.1.contact, of_twin.1.contact];
+            assert_eq!(ContactReport { closing_rate: twins.closing_rate, ..contact }, twins, "{what}");
+            // Of velocities as above over gaps in f32.
+            assert!((contact.closing_rate - twins.closing_rate).abs() <= 1e-4 * twins.closing_rate, "{what}");
             assert_eq!(of_device.0.closed_components, of_twin.0.closed_components, "{what}");
             let [found, wanted] =
                 [of_device, of_twin].map(|(liquid, solid)| [liquid.solve, solid.solve].map(|solve| solve.unknowns));

@@ -100,7 +100,7 @@ fn tiles_match() {
 
 #[test]
 fn level_step_matches() {
-    let fields = fields!(LevelStep: seed, number, capacity, motion, freed, renewed, pad_0, pad_1);
+    let fields = fields!(LevelStep: seed, number, capacity, courant, freed, renewed, pad_0, pad_1);
     assert_layout("level_step", "LevelStep", fields, size_of::<LevelStep>());
 }
 

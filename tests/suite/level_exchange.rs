@@ -30,6 +30,9 @@ fn parse(rest: &str) -> Scene {
     Scene::parse(Path::new("flows.toml"), &text, &[], 1.0).unwrap()
 }
 
+/// Courant number of the surface.
+const COURANT: f64 = 2.5;
+
 const POOL: &str = "[liquid]\nsurface = \"level\"\n\
                     [[liquid.region]]\nhalf_space = { point = [0.0, 0.125, 0.0], normal = [0.0, 1.0, 0.0] }\n";
 /// 4 x 4 x 4 cells below the ceiling.
@@ -336,7 +339,7 @@ impl<'a> Run<'a> {
         let step = SourceStep::new(running, n_markers);
         self.sources.write_step(self.gpu, step, &lattices);
         let renewed = self.renewed() / self.case.grid.cell_volume();
-        self.level.write_step(self.gpu, [17, 3], 1.0, renewed);
+        self.level.write_step(self.gpu, [17, 3], COURANT, renewed);
         let one = self.case.grid.cell_volume();
         self.exchange.write_step(self.gpu, &self.taps, running, (dt, one));
         self.case.band(self.gpu, &self.liquid);
@@ -450,7 +453,8 @@ fn a_level_exchanges_as_in_the_twin() {
         let fills = reference::fill_sources(grid, &run.taps, running, &open_volumes, &mut twin);
         let level = case.state.liquid_distance.iter().map(|phi| phi / grid.dx);
         let level: Vec<f64> = level.collect();
-        let sunk = reference::sunk_volumes(&run.taps, &open_volumes, &level, &twin);
+        let sunk =
+            reference::sunk_volumes(&run.taps, &open_volumes, [&level, &twin], reference::largest_shift(COURANT));
         reference::empty_level_sinks(&run.taps, &mut twin);
         // The levels of both are copies, and those of the fills f32.
         assert_close(

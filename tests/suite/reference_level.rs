@@ -6,8 +6,8 @@ use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
     Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level, advect_level_markers,
     advect_velocity_maccormack, balance, bound_level, excess, extrapolate_with_slope, face_mass, filter_level,
-    first_markers, interpolant_part, land, landing_faces, liquid_components, marker_band, marker_weights, occupancy,
-    open_volumes, redistance, spray, take_landing, thin_liquid, volume_shift,
+    first_markers, interpolant_part, land, landing_faces, largest_shift, liquid_components, marker_band,
+    marker_weights, occupancy, open_volumes, redistance, spray, take_landing, thin_liquid, volume_shift,
 };
 use cutwater::scene::Scene;
 use cutwater::state::State;
@@ -265,13 +265,13 @@ fn the_shift_restores_the_volume_of_each_component() {
     let target = 64.0 * 6.6 * grid.cell_volume();
     for _ in 0..200 {
         let components = measure(&distance);
-        volume_shift(&grid, &volumes, &components, &[target], [0.1, 0.02], &mut distance);
+        volume_shift(&grid, &volumes, &components, &[target], ([0.1, 0.02], largest_shift(1.0)), &mut distance);
     }
     let volume = measure(&distance).volume[0];
     close(volume / target, 1.0, 0.0051);
     // Enclosed liquid does not move.
     let components = Components { enclosed: vec![true], ..measure(&distance) };
-    let shifts = volume_shift(&grid, &volumes, &components, &[9.0], [0.1, 0.02], &mut distance);
+    let shifts = volume_shift(&grid, &volumes, &components, &[9.0], ([0.1, 0.02], largest_shift(1.0)), &mut distance);
     assert_eq!(shifts, [0.0]);
 }
 

@@ -12,6 +12,8 @@ use crate::common::{Random, gpu};
 use crate::level_case::{level_buffers, level_cases};
 use crate::liquid_case::{ActiveBuffers, Case, EPS, assert_close, single};
 
+/// Courant number of the surface.
+const COURANT: f64 = 2.5;
 /// Volumes of cells in a unit of the sums.
 const UNIT: f64 = 1.0 / (1 << 23) as f64;
 /// Error of the volume of a cell, volumes of a cell: the distance to bodies over dx has a division of 5 half units and the rounding
@@ -83,7 +85,7 @@ impl<'a> Run<'a> {
 
     fn write_step(&self) {
         let renewed = self.renewed() / self.case.grid.cell_volume();
-        self.level.write_step(self.gpu, [0; 2], 1.0, renewed);
+        self.level.write_step(self.gpu, [0; 2], COURANT, renewed);
         let step = Step { volume_0: self.volume_0 as f32, ..self.case.step() };
         self.gpu.upload(&self.liquid.step, &[step]);
     }
@@ -263,7 +265,8 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> usize {
     let open = reference::open_volumes(grid, &case.cut.solid_distance);
     let mut shifted = phi.to_vec();
     let times = [0.04_f32, case.dt as f32].map(f64::from);
-    let shifts = reference::volume_shift(grid, &open, &components, &targets, times, &mut shifted);
+    let limits = (times, reference::largest_shift(COURANT));
+    let shifts = reference::volume_shift(grid, &open, &components, &targets, limits, &mut shifted);
     let mut area = vec![[0.0; 2]; targets.len()];
     for (cell, &label) in twin.label.iter().enumerate().filter(|(_, label)| **label > 0) {
         let near = (1.0 - (phi[cell] / grid.dx).abs()).clamp(0.0, 1.0);

@@ -10,7 +10,7 @@ use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
     advect_level, advect_level_markers, balance, bound_level, closed_to_markers, component_origins, emit_markers,
     empty_level_sinks, excess, extend_level, fill_sources, filter_level, hold_source_origins, interpolant_part, land,
-    limit_targets, liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow,
+    largest_shift, limit_targets, liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow,
     raise_separated, redistance, remove_volumes, renewed_volume, separated_level, shared_volumes, spray, sunk_volumes,
     take_landing, thin_liquid, volume_shift,
 };
@@ -145,14 +145,14 @@ impl SubStep<'_> {
         let ballistic = self.ballistic(&filled_before);
         let dt = self.time_step.dt;
         let mut carried = advect_level(grid, open, &before.velocity, &ballistic, &level, dt);
-        let open_volumes = self.open_volumes();
+        let (open_volumes, largest) = (self.open_volumes(), largest_shift(self.time_step.courant));
         let bounds = separated_level(self.cells(), &before.velocity, &before.separated, &level, dt);
         let results = &mut self.results.level;
         results.separation_bounds = bounds;
         results.first_fill = fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
         let apertures = &self.boundary.cut_cells().open;
         let left = outflow(grid, open, apertures, &before.velocity, &level, dt);
-        let sunk = sunk_volumes(&model.taps, &open_volumes, &level, &carried);
+        let sunk = sunk_volumes(&model.taps, &open_volumes, [&level, &carried], largest);
         empty_level_sinks(&model.taps, &mut carried);
         results.carried = carried;
         for (volumes, removed) in [left, sunk].iter().zip(&mut results.removed) {
@@ -186,7 +186,7 @@ impl SubStep<'_> {
 
     pub(super) fn filter_level(&mut self) {
         let level = &self.results.level;
-        self.results.level.level = filter_level(self.cells(), &level.thin, self.time_step.motion, &level.level);
+        self.results.level.level = filter_level(self.cells(), &level.thin, self.time_step.motion(), &level.level);
     }
 
     pub(super) fn level_distance(&mut self) {
@@ -248,11 +248,12 @@ impl SubStep<'_> {
     }
 
     pub(super) fn volume_shift(&mut self) {
-        let (open_volumes, times) = (self.open_volumes(), self.times());
+        let open_volumes = self.open_volumes();
+        let limits = (self.times(), largest_shift(self.time_step.courant));
         let components = &self.results.level.components;
         let after = &mut self.after;
         let (targets, distance) = (&after.component_volume, &mut after.liquid_distance);
-        volume_shift(&self.model.grid, &open_volumes, components, targets, times, distance);
+        volume_shift(&self.model.grid, &open_volumes, components, targets, limits, distance);
     }
 
     pub(super) fn excess(&mut self) {

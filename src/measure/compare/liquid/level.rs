@@ -164,14 +164,14 @@ impl LiquidComparison<'_> {
     /// and a unit of the sums; through a face that of a quotient and five products.
     fn exchange_level(&mut self, after: &LiquidSnapshot, level: &[f64], (twins, bound): (&mut [Vec<f64>], f64)) {
         let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
-        let one = grid.cell_volume();
+        let (one, largest) = (grid.cell_volume(), reference::largest_shift(self.courant));
         let sums = twins.iter_mut().map(|twin| {
             // Outside the band there is air on the device.
             for cell in (0..twin.len()).filter(|&cell| !after.band[cell]) {
                 twin[cell] = REACH;
             }
             let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
-            let sunk = reference::sunk_volumes(taps, &self.open_volumes, level, twin);
+            let sunk = reference::sunk_volumes(taps, &self.open_volumes, [level, twin], largest);
             reference::empty_level_sinks(taps, twin);
             let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
             [sunk / one, filled.iter().sum::<f64>() / one]
@@ -332,8 +332,9 @@ impl LiquidComparison<'_> {
         let level = self.with_air(after, &before.level);
         let thin = reference::thin_liquid(&self.grid, &self.with_air(after, &before.carried));
         let bound = PASS * EPS * REACH;
-        let twins =
-            self.twins(&level, bound, |level| reference::filter_level(self.level_cells(), &thin, self.motion, level));
+        let twins = self.twins(&level, bound, |level| {
+            reference::filter_level(self.level_cells(), &thin, self.courant.min(1.0), level)
+        });
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
@@ -392,9 +393,10 @@ impl LiquidComparison<'_> {
         let (open, volumes) = (&self.cut.open, &self.open_volumes);
         let components = reference::liquid_components(&grid, open, volumes, &level);
         let times = [f64::from(self.step.control_time), self.dt()];
+        let limits = (times, reference::largest_shift(self.courant));
         let shifted = |targets: &[f64]| {
             let mut distance = self.before.liquid_distance.clone();
-            reference::volume_shift(&grid, volumes, &components, targets, times, &mut distance);
+            reference::volume_shift(&grid, volumes, &components, targets, limits, &mut distance);
             distance
         };
         let targets = &now.component_volume;

@@ -45,8 +45,8 @@ pub(super) struct LiquidComparison<'a> {
     /// Volume that sources renew, m^3.
     renewed: f64,
     step: Step,
-    /// [`TimeStep::motion`] on the device.
-    motion: f64,
+    /// [`TimeStep::courant`] on the device.
+    courant: f64,
     pub(super) table: Table,
     /// Input of the stage.
     before: LiquidSnapshot,
@@ -104,7 +104,7 @@ impl<'a> LiquidComparison<'a> {
             lattices: Vec::new(),
             renewed: 0.0,
             step,
-            motion: 0.0,
+            courant: 0.0,
             table: Table::default(),
             twin: Twin {
                 liquid_distance: before.liquid_distance.clone(),
@@ -133,7 +133,7 @@ impl<'a> LiquidComparison<'a> {
             self.before = before;
         }
         self.table.step = path.clock().step;
-        self.motion = f64::from(time_step.motion as f32);
+        self.courant = f64::from(time_step.courant as f32);
         if let Some(step) = path.step_numbers(time_step) {
             self.step = step;
         }
