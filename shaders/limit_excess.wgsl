@@ -1,6 +1,6 @@
-// excess, last: e from the smoothed numbers, in liquid of components with a surface, less a dead band. One thread per quad
-// of the band.
-// band_args, band_list: the band. component: labels. component_sums: volumes, with the mark of a surface.
+// excess, last: e from the smoothed numbers, in liquid of components with a surface, less a dead band, and less where it takes the volume
+// further from its target. One thread per quad of the band.
+// band_args, band_list: the band. component: labels. component_sums: volumes, with the mark of a surface. component_volume: targets, volumes of a cell.
 // liquid_distance: m. density_now: (F - 1) w and w, smoothed. excess: e; out. level_step: parameters of the sub-step.
 #import component_sums
 #import controlled_part
@@ -11,13 +11,27 @@
 @group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> component: array<vec4<u32>>;
 @group(0) @binding(4) var<storage, read> component_sums: array<vec2<u32>>;
-@group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> density_now: array<vec2<f32>>;
-@group(0) @binding(7) var<storage, read_write> excess: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> component_volume: array<f32>;
+@group(0) @binding(6) var<storage, read> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> density_now: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read_write> excess: array<vec4<f32>>;
 
-// The constants of reference/excess.rs.
+// The constants of reference/excess.rs, and the dead band of reference/volume_shift.rs.
 const LEAST_WEIGHT = 0.05;
 const DEAD_BAND = 0.06;
+const VOLUME_BAND = 0.005;
+
+// Part of e that acts on a component.
+fn part_of(label: u32, e: f32) -> f32 {
+    let volume = volume_of(component_sums[label]);
+    let goal = component_volume[label];
+    let lacks = goal - volume;
+    var against = 0.0;
+    if e * lacks < 0.0 {
+        against = abs(lacks) / (VOLUME_BAND * goal);
+    }
+    return controlled_part(volume) * max(1.0 - against, 0.0);
+}
 
 @compute @workgroup_size(WG_SIZE)
 fn limit_excess(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -35,7 +49,7 @@ fn limit_excess(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
             continue;
         }
         let mean = density.x / density.y;
-        e[l] = controlled_part(volume_of(component_sums[label[l]])) * sign(mean) * max(abs(mean) - DEAD_BAND, 0.0);
+        e[l] = part_of(label[l], mean) * sign(mean) * max(abs(mean) - DEAD_BAND, 0.0);
     }
     excess[quad] = e;
 }

@@ -6,7 +6,11 @@
 //!
 //! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. d is the distance to bodies, cells: the noise of fewer
 //! markers beside bodies would excite waves. |e| is reduced by a dead band of 0.06, several deviations of the noise of
-//! jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt) for it. So markers that
+//! jittered markers. Where e would take the volume of a component further from its target it decreases linearly to 0 at the edge of the
+//! dead band of [`volume_shift`](super::volume_shift). Otherwise both fight: below the target a sink contracts the liquid and its markers while the shift
+//! adds liquid without markers, which leave the band at its lower end, so that both go on for ever.
+//!
+//! The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt) for it. So markers that
 //! crowd in a splash expand. Enclosed components have no such source, since its volume could not leave. Liquid that leaves
 //! soon has a part of it (`level_exchange`).
 
@@ -15,6 +19,7 @@ use super::level_exchange::controlled_part;
 use super::liquid_components::Components;
 use super::occupancy::UNKNOWN;
 use super::right_hand_side::RightHandSide;
+use super::volume_shift::DEAD_BAND as VOLUME_BAND;
 
 /// Depth below which the density counts, cells.
 const DEPTH: f64 = 1.0;
@@ -25,8 +30,14 @@ const DEAD_BAND: f64 = 0.06;
 /// Time in which an excess expands, in times of control and in sub-steps.
 const TIMES: [f64; 2] = [2.5, 1.5];
 
-/// e per cell. `renewed`: see [`renewed_volume`](super::renewed_volume), m^3; `level` in cells.
-pub fn excess(cells: LevelCells, components: &Components, renewed: f64, occupancy: &[f64], level: &[f64]) -> Vec<f64> {
+/// e per cell. `targets`: of the components' volumes, m^3. `renewed`: see [`renewed_volume`](super::renewed_volume), m^3. `level` in cells.
+pub fn excess(
+    cells: LevelCells,
+    (components, targets): (&Components, &[f64]),
+    renewed: f64,
+    occupancy: &[f64],
+    level: &[f64],
+) -> Vec<f64> {
     let counts = |cell: usize| level[cell] < -DEPTH && occupancy[cell] != UNKNOWN;
     let all = || 0..level.len();
     let weight = all().map(|cell| match counts(cell) {
@@ -44,7 +55,10 @@ pub fn excess(cells: LevelCells, components: &Components, renewed: f64, occupanc
             return 0.0;
         }
         let e = density[cell] / weight[cell];
-        let part = controlled_part(components.volume[label as usize - 1], renewed);
+        let k = label as usize - 1;
+        let lacks = targets[k] - components.volume[k];
+        let against = if e * lacks < 0.0 { lacks.abs() / (VOLUME_BAND * targets[k]) } else { 0.0 };
+        let part = controlled_part(components.volume[k], renewed) * (1.0 - against).max(0.0);
         part * e.signum() * (e.abs() - DEAD_BAND).max(0.0)
     };
     all().map(excess).collect()

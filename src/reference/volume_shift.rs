@@ -15,7 +15,7 @@ use super::liquid_components::Components;
 use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
-const DEAD_BAND: f64 = 0.005;
+pub(super) const DEAD_BAND: f64 = 0.005;
 /// Largest shift in a sub-step over the way of the surface, or over one cell if that is more.
 const LARGEST: f64 = 0.04;
 

@@ -285,16 +285,26 @@ fn crowded_markers_are_an_excess() {
     let components = liquid_components(&grid, &cut.open, &volumes, &level);
     for (f, e) in [(1.0, 0.0), (1.05, 0.0), (1.3, 0.24), (0.6, -0.34)] {
         let occupancy = vec![f; level.len()];
-        let e_of = excess(cells, &components, 0.0, &occupancy, &level);
+        let with = (&components, &components.volume[..]);
+        let e_of = excess(cells, with, 0.0, &occupancy, &level);
         // Sources renew two thirds of the liquid: half of it is controlled.
         let renewed = components.volume[0] / 1.5;
-        let half = excess(cells, &components, renewed, &occupancy, &level);
+        let half = excess(cells, with, renewed, &occupancy, &level);
         assert!(half.iter().zip(&e_of).all(|(half, e)| (half - 0.5 * e).abs() < 1e-12));
         for (cell, &phi) in level.iter().enumerate() {
             match phi < 0.0 && phi > -4.0 {
                 true => close(e_of[cell], e, 1e-12),
                 false => assert!(phi < 0.0 || e_of[cell] == 0.0),
             }
+        }
+        // None where the volume is short of the target, or above it, by the dead band, and half at half of it.
+        for (off, part) in [(0.01, 0.0), (0.005, 0.0), (0.0025, 0.5)] {
+            let target = [components.volume[0] / (1.0 + e.signum() * off)];
+            let against = excess(cells, (&components, &target), 0.0, &occupancy, &level);
+            assert!(against.iter().zip(&e_of).all(|(against, e)| (against - part * e).abs() < 1e-9), "{f}, {off}");
+            let target = [components.volume[0] / (1.0 - e.signum() * off)];
+            let towards = excess(cells, (&components, &target), 0.0, &occupancy, &level);
+            assert_eq!(towards, e_of, "{f}, {off}");
         }
     }
 }

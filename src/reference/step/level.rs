@@ -258,7 +258,8 @@ impl SubStep<'_> {
 
     pub(super) fn excess(&mut self) {
         let level = &self.results.level;
-        let excess = excess(self.cells(), &level.components, level.renewed, &level.occupancy, &self.level_after());
+        let components = (&level.components, &self.after.component_volume[..]);
+        let excess = excess(self.cells(), components, level.renewed, &level.occupancy, &self.level_after());
         self.results.level.excess = excess;
     }
 

@@ -391,12 +391,13 @@ impl LiquidComparison<'_> {
         let grid = self.grid;
         let level = self.in_cells(&self.before.liquid_distance);
         let (open, volumes) = (&self.cut.open, &self.open_volumes);
-        let components = reference::liquid_components(&grid, open, volumes, &level);
+        self.components = reference::liquid_components(&grid, open, volumes, &level);
+        let components = &self.components;
         let times = [f64::from(self.step.control_time), self.dt()];
         let limits = (times, reference::largest_shift(self.courant));
         let shifted = |targets: &[f64]| {
             let mut distance = self.before.liquid_distance.clone();
-            reference::volume_shift(&grid, volumes, &components, targets, limits, &mut distance);
+            reference::volume_shift(&grid, volumes, components, targets, limits, &mut distance);
             distance
         };
         let targets = &now.component_volume;
@@ -420,21 +421,20 @@ impl LiquidComparison<'_> {
 
     /// Two times 27 weights and a quotient by at least 0.05.
     fn excess(&mut self, (after, before, now): Change) {
-        let grid = self.grid;
         let level = self.in_cells(&after.liquid_distance);
-        let (open, volumes) = (&self.cut.open, &self.open_volumes);
-        let mut components = reference::liquid_components(&grid, open, volumes, &level);
+        let mut components = self.components.clone();
         components.label.clone_from(&now.component);
-        let n = components.enclosed.len();
-        if components.label.iter().any(|&label| label as usize > n) {
+        let (n, targets) = (components.enclosed.len(), &now.component_volume);
+        if targets.len() != n || components.label.iter().any(|&label| label as usize > n) {
             return;
         }
         let most = super::largest(before.occupancy.iter().map(|f| f.abs())).max(1.0);
-        let bound = 64.0 * EPS * most / 0.05;
+        // Volumes, in f32 with sums of fixed point, over the dead band of the volume control.
+        let bound = 64.0 * EPS * most / 0.05 + 1e-5 / 0.005;
         let twins = self.twins(&level, 2.0 * EPS * REACH, |level| {
             let renewed = self.renewed;
             let occupancy = &before.occupancy;
-            reference::excess(self.level_cells(), &components, renewed, occupancy, level)
+            reference::excess(self.level_cells(), (&components, targets), renewed, occupancy, level)
         });
         self.band_cells(["e", ""], after, &now.excess, &twins, bound);
     }

@@ -45,6 +45,8 @@ pub(super) struct LiquidComparison<'a> {
     /// Volume that sources renew, m^3.
     renewed: f64,
     step: Step,
+    /// Components of the level before its shift.
+    components: reference::Components,
     /// [`TimeStep::courant`] on the device.
     courant: f64,
     pub(super) table: Table,
@@ -104,6 +106,7 @@ impl<'a> LiquidComparison<'a> {
             lattices: Vec::new(),
             renewed: 0.0,
             step,
+            components: reference::Components::default(),
             courant: 0.0,
             table: Table::default(),
             twin: Twin {
