@@ -28,7 +28,7 @@ fn part_of(label: u32, e: f32) -> f32 {
     let lacks = goal - volume;
     var against = 0.0;
     if e * lacks < 0.0 {
-        against = abs(lacks) / (VOLUME_BAND * goal);
+        against = abs(lacks) / (VOLUME_BAND * abs(goal));
     }
     return controlled_part(volume) * max(1.0 - against, 0.0);
 }

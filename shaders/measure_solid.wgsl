@@ -1,4 +1,5 @@
-// diagnose, for solids, first of two: the largest rate at which nodes close gaps (twin: Contacts::closing_rate), and sums over nodes of momentum m v, angular momentum m x cross v about the origin,
+// diagnose, for solids, first of two: the largest rate at which nodes close gaps (twin: Contacts::closing_rate), and
+// sums over nodes of momentum m v, angular momentum m x cross v about the origin,
 // kinetic energy m |v|^2 / 2 and potential energy - m g . x. Elastic energy and determinants of the elements come
 // from solid_matrices.
 // One thread per share of both; each sums every n-th node, then every n-th element.
@@ -60,7 +61,7 @@ fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
         turning += mass * Real4(cross(x, v), Real());
         potential -= mass * dot(Real3(step.gravity), x);
         fastest = max(fastest, bitcast<vec3<u32>>(abs(vec3<f32>(v))));
-        closing = max(closing, bitcast<u32>(closing_rate(node, v)));
+        closing = max(closing, bitcast<u32>(abs(closing_rate(node, v))));
     }
     var worst = 0u;
     var inverted = 0u;

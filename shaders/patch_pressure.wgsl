@@ -1,8 +1,8 @@
 // right_hand_side, for solids in liquid, second part: what pressure does beyond its value at the centres of cells, with a constant gradient
-// in each: twin reference/patch_pressure.rs. Its forces add to those on free components. With separation again in each round, for the cells
-// that do not separate. One thread per node.
+// in each: twin reference/patch_pressure.rs. Its forces add to those on free components. With separation again in each round, without
+// the cells that separate in it, also if they are let back later. One thread per node.
 // coupling, words, node_pairs, flags: see coupling_force. moments: per pair of a node, bits of the rows of the integral of n N_i (x - x_cell)^T,
-// m^3; fourth of the first row, which of the slopes. slopes: gradients in the wet cells, Pa/m. node_flags: see node_flags.
+// m^3, in place: 0 for cells that are inactive; fourth of the first row, which of the slopes. slopes: gradients in the wet cells, Pa/m. node_flags: see node_flags.
 // rhs: N, in place; fourth number the squared norm of the magnitudes that it sums. correction: the forces
 // that rhs has, N, in place: first 0.
 #import coupling
@@ -14,7 +14,7 @@
 @group(0) @binding(1) var<storage, read> words: array<u32>;
 @group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
-@group(0) @binding(4) var<storage, read> moments: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read_write> moments: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> slopes: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> node_flags: array<u32>;
 @group(0) @binding(7) var<storage, read_write> rhs: array<Real4>;
@@ -37,6 +37,10 @@ fn patch_pressure(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         if (flags[cell / 4u] >> (cell % 4u) & 1u) == 1u {
             let slope = Real3(slopes[moments[3u * at].w].xyz);
             sum += Real3(dot(row(3u * at), slope), dot(row(3u * at + 1u), slope), dot(row(3u * at + 2u), slope));
+        } else {
+            for (var n = 3u * at; n < 3u * at + 3u; n++) {
+                moments[n] = vec4<u32>(vec3<u32>(), moments[n].w);
+            }
         }
     }
     let change = sum - correction[node].xyz;

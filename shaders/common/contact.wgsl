@@ -5,7 +5,7 @@
 // times the bits of the axes whose lower wall is nearer. With obstacles a second section: unit normal or 0, and
 // distance, m, after the next move for a node at rest. With moving ones a third: their velocity along the normal, m/s.
 
-// Gap below which a node is initially constrained if it is pressed to the surface, and what longer sub-steps may take it through, cells.
+// Gap below which a node is initially constrained if it is pressed to the surface, and largest penetration in a longer sub-step, cells.
 const SKIN = 1e-3;
 // Tolerance of gaps and contact, cells.
 const NEAR = 1e-4;

@@ -7,8 +7,8 @@
 //! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. d is the distance to bodies, cells: the noise of fewer
 //! markers beside bodies would excite waves. |e| is reduced by a dead band of 0.06, several deviations of the noise of
 //! jittered markers. Where e would take the volume of a component further from its target it decreases linearly to 0 at the edge of the
-//! dead band of [`volume_shift`](super::volume_shift). Otherwise both fight: below the target a sink contracts the liquid and its markers while the shift
-//! adds liquid without markers, which leave the band at its lower end, so that both go on for ever.
+//! dead band of [`volume_shift`](super::volume_shift). Otherwise, below the target, this sink would contract the liquid with its markers while the shift
+//! adds liquid without markers: a pool lost markers and 15 % of its volume that way.
 //!
 //! The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt) for it. So markers that
 //! crowd in a splash expand. Enclosed components have no such source, since its volume could not leave. Liquid that leaves
@@ -57,7 +57,7 @@ pub fn excess(
         let e = density[cell] / weight[cell];
         let k = label as usize - 1;
         let lacks = targets[k] - components.volume[k];
-        let against = if e * lacks < 0.0 { lacks.abs() / (VOLUME_BAND * targets[k]) } else { 0.0 };
+        let against = if e * lacks < 0.0 { lacks.abs() / (VOLUME_BAND * targets[k].abs()) } else { 0.0 };
         let part = controlled_part(components.volume[k], renewed) * (1.0 - against).max(0.0);
         part * e.signum() * (e.abs() - DEAD_BAND).max(0.0)
     };

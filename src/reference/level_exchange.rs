@@ -49,8 +49,8 @@ pub fn outflow(
     Axis::ALL.map(|axis| of_axis(axis).collect::<Vec<_>>()).concat()
 }
 
-/// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What a shift of the level left
-/// there, at most `largest` ([`largest_shift`](super::largest_shift)), does not count, initial liquid does.
+/// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What a shift of the level may
+/// have left there, `largest` ([`largest_shift`](super::largest_shift)), does not count; the rest of initial liquid does.
 pub fn sunk_volumes(
     taps: &SourcesAndSinks,
     open_volumes: &[f64],

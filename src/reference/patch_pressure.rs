@@ -8,7 +8,7 @@
 //! ```
 //!
 //! with n into the solid. N_i is linear on a patch, so the integrals are exact. Matrix and liquid are unchanged. Where liquid separates
-//! its pressure is 0 in the whole cell: separated cells have no such force.
+//! its pressure is 0 in the whole cell: cells that separate in a sub-step have no such force ([`Separation`](super::Separation)).
 
 use glam::DVec3;
 
@@ -26,7 +26,7 @@ pub struct PatchForces {
 
 impl PatchForces {
     /// Forces of some cells on all nodes, N.
-    pub fn of_cells(&self, counts: impl Fn(usize) -> bool) -> Vec<DVec3> {
+    pub fn sum_over(&self, counts: impl Fn(usize) -> bool) -> Vec<DVec3> {
         let mut forces = vec![DVec3::ZERO; self.n_nodes];
         for &(_, node, force) in self.parts.iter().filter(|(cell, ..)| counts(*cell)) {
             forces[node] += force;

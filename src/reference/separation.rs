@@ -12,6 +12,8 @@
 //!
 //! p_c w_c = 0 makes the correction of the velocity orthogonal to the result, so separation adds no kinetic energy.
 
+use glam::DVec3;
+
 use super::patch_pressure::PatchForces;
 use super::pressure_system::{PressureSystem, Stencil};
 use super::solve::solve;
@@ -43,6 +45,8 @@ pub struct Separation {
     rate: f64,
     /// On the right-hand side of solids, also from cells of A.
     patch_forces: PatchForces,
+    /// Cells that were in A in any round. They exert no such force, also when let back: a force that comes and goes with A keeps the search from settling.
+    relieved: Vec<bool>,
     report: SeparationReport,
 }
 
@@ -88,10 +92,11 @@ impl Separation {
             let joins = |cell: usize| may[cell] && with.touching[cell] && stencil.active(cell);
             ((0..may.len()).map(joins).collect(), open.clone())
         });
-        let cells = (0..may.len()).map(|cell| candidates[cell] && before[cell]).collect();
+        let cells: Vec<bool> = (0..may.len()).map(|cell| candidates[cell] && before[cell]).collect();
         Separation {
             candidates,
             beyond,
+            relieved: cells.clone(),
             cells,
             settled: true,
             rate: 0.0,
@@ -100,16 +105,21 @@ impl Separation {
         }
     }
 
-    /// The same with the forces of [`patch_pressure`](super::patch_pressure) on solids, which separated cells do not exert.
+    /// The same with the forces of [`patch_pressure`](super::patch_pressure) on solids, which relieved cells do not exert.
     pub fn beside_solids(self, patch_forces: &PatchForces) -> Separation {
         Separation { patch_forces: patch_forces.clone(), ..self }
     }
 
-    /// What takes the forces of the separated cells out of the right-hand side of solids, N, three numbers per node; `None` where nothing does.
+    /// Minus the forces of the relieved cells, to be added to the right-hand side of solids, N, three numbers per node; `None` where they are 0.
     pub(super) fn relief(&self) -> Option<Vec<f64>> {
-        let separated = |cell: usize| self.cells[cell];
-        let forces = || self.patch_forces.of_cells(separated).into_iter();
-        self.patch_forces.has(separated).then(|| forces().flat_map(|force| (-force).to_array()).collect())
+        let relieved = |cell: usize| self.relieved[cell];
+        let forces = || self.patch_forces.sum_over(relieved).into_iter();
+        self.patch_forces.has(relieved).then(|| forces().flat_map(|force| (-force).to_array()).collect())
+    }
+
+    /// The forces on solids that are left, N per node.
+    pub fn patch_forces(&self) -> Vec<DVec3> {
+        self.patch_forces.sum_over(|cell| !self.relieved[cell])
     }
 
     /// Gamma.
@@ -174,6 +184,7 @@ impl Separation {
             self.report.returned += returned.len();
             for cell in added {
                 self.cells[cell] = true;
+                self.relieved[cell] = true;
             }
             for cell in returned {
                 self.cells[cell] = false;

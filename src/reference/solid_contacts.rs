@@ -35,7 +35,7 @@ pub const MAX_SOLVES: u32 = 20;
 pub const MOST_HALVINGS: u32 = 3;
 /// Sweeps over the surfaces of a node in the projection to feasibility; each may violate an earlier one.
 const SWEEPS: u32 = 4;
-/// Gap below which a node is initially constrained if it is pressed to the surface, and what longer sub-steps may take it through, cells.
+/// Gap below which a node is initially constrained if it is pressed to the surface, and largest penetration in a longer sub-step, cells.
 const SKIN: f64 = 1e-3;
 /// Tolerance of gaps and contact, cells.
 const NEAR: f64 = 1e-4;

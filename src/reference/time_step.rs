@@ -94,7 +94,7 @@ impl StepLimits {
     /// surface in motion, else cfl; such a surface starts with a quarter of that. 2 dt_last where that reaches the frame.
     ///
     /// `speed`: largest magnitude of a velocity component, m/s; `[time, left]`: s, and T to the next frame; `dt_last`: 0
-    /// before the first sub-step; `contact`: the longest sub-step in which no solid passes through another, 0 without a limit. A fixed step
+    /// before the first sub-step; `contact`: [`State::contact_step`](crate::state::State::contact_step), s. A fixed step
     /// divides T into equal parts of about its length, whatever the speed.
     pub fn time_step(&self, speed: f64, [time, left]: [f64; 2], [dt_last, contact]: [f64; 2]) -> TimeStep {
         let of_length = |dt: f64, floored: bool| {

@@ -5,7 +5,7 @@
 //! phi -= h_k
 //! ```
 //!
-//! in cells and cell volumes. C is the Courant number of the surface, since errors of its transport grow with its way. dV_k is the target less the volume, less a dead band of 0.5 % of the target. The measured
+//! in cells and cell volumes. C is the Courant number of the surface: errors of its transport grow with the distance it moves. dV_k is the target less the volume, less a dead band of 0.5 % of the target. The measured
 //! volume of a wave changes by that much at constant true volume, and a shift by it would amplify the wave. Enclosed
 //! components have no surface to move.
 
@@ -16,7 +16,7 @@ use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
 pub(super) const DEAD_BAND: f64 = 0.005;
-/// Largest shift in a sub-step over the way of the surface, or over one cell if that is more.
+/// Largest shift in a sub-step over the distance that the surface moves, or over one cell if that is more.
 const LARGEST: f64 = 0.04;
 
 /// Largest shift in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.

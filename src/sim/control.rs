@@ -9,6 +9,7 @@ use super::{Path, Simulation, first_contact_step};
 use crate::Error;
 use crate::grid::Axis;
 use crate::scene::{Keyframe, MAX_VELOCITY, Scene};
+use crate::state::State;
 
 /// Largest distance (m, over the longest edge of the domain) and angle (rad) between the old and the new pose at the present time.
 const SAME_POSE: f64 = 1e-9;
@@ -56,17 +57,22 @@ impl Simulation {
         if self.clock().step > 0 || self.solids.rest.is_empty() {
             return Ok(());
         }
-        let mut field = match &self.path {
-            Path::Gpu(path) => path.contact_field(),
-            Path::Cpu(path) => path.contact_field(),
-        };
-        field.move_to(time, 0.0);
-        let first = first_contact_step(&self.scene, &self.solids, &field, &self.state()?);
+        let first = self.first_contact_step(&self.state()?);
         match &mut self.path {
             Path::Gpu(path) => path.limit_step(first),
             Path::Cpu(path) => path.limit_step(first),
         }
         Ok(())
+    }
+
+    /// The limit of the next sub-step by contact for velocities that are set, s; 0 without.
+    fn first_contact_step(&self, state: &State) -> f64 {
+        let mut field = match &self.path {
+            Path::Gpu(path) => path.contact_field(),
+            Path::Cpu(path) => path.contact_field(),
+        };
+        field.move_to(state.time, 0.0);
+        first_contact_step(&self.scene, &self.solids, &field, state)
     }
 
     /// Replaces the keyframes of a script, by the indices of its solid in the scene and of the script in the solid.
@@ -133,6 +139,7 @@ impl Simulation {
                 }
             }
             carried.max_speed[1] = fastest(state.node_velocity.as_flattened());
+            state.contact_step = self.first_contact_step(&state);
         }
         self.resume(&state, &carried)
     }

@@ -341,6 +341,9 @@ fn first_state(
     solids.ensure_clearance(scene, &obstacles.cut.solid_distance, &displacement)?;
     let grid = scene.grid();
     let mut state = geometry::initial_state(scene, &grid, cut)?;
+    if Effects::of(scene).separation {
+        state.separated = vec![false; grid.n_cells()];
+    }
     (state.displacement, state.node_velocity) = (displacement, velocity);
     if !solids.rest.is_empty() {
         state.contact_step = first_contact_step(scene, solids, &obstacles.contact_field(&grid), &state);
@@ -348,10 +351,13 @@ fn first_state(
     Ok(state)
 }
 
-/// [`State::contact_step`] of an initial state.
+/// [`State::contact_step`] of a state whose velocities no solve has limited.
 fn first_contact_step(scene: &Scene, solids: &Solids, obstacles: &ContactField, state: &State) -> f64 {
-    let longest = scene.time.fixed_step.or(scene.time.max_step).unwrap_or(f64::INFINITY);
-    let longest = longest.min(1.0 / scene.time.frames_per_second);
+    let frame = 1.0 / scene.time.frames_per_second;
+    let longest = match scene.time.fixed_step {
+        Some(fixed) => frame / (frame / fixed).round().max(1.0),
+        None => scene.time.max_step.unwrap_or(frame).min(frame),
+    };
     let with = (obstacles, Effects::of(scene).solid_contact);
     reference::first_contact_step(solids, with, &state.displacement, &state.node_velocity, longest)
 }

@@ -17,7 +17,7 @@ pub(super) struct Rounds<'a> {
     pub(super) stage: &'a mut Separation,
     /// Flux of solids out of the separated cells, where they are solved for with the liquid.
     pub(super) flux: Option<&'a Dispatches>,
-    /// What the right-hand side of solids has by cell, which separated ones do not exert.
+    /// Forces of the pressure's variation within cells, which separated cells do not exert.
     pub(super) patches: Option<&'a PatchPressure>,
     /// Tolerance of the last solve.
     pub(super) tolerance: f64,

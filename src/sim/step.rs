@@ -342,7 +342,10 @@ impl SubStep<'_, '_> {
 
     /// Assembles the pressure system once more, with components that are no longer closed. Volume control still leaves them out.
     fn open(&mut self, squeeze: &Squeeze) -> Result<(), Error> {
-        let GpuPath { gpu, liquid, .. } = &mut *self.path;
+        let GpuPath { gpu, scene, head, liquid, solids, coupling, .. } = &mut *self.path;
+        if let Some((coupling, (liquid, solids))) = coupling.as_mut().zip(liquid.as_ref().zip(solids.as_ref())) {
+            coupling.write_patches(gpu, scene, (liquid, solids), head.dt_last);
+        }
         if let Some(liquid) = liquid {
             liquid.stages.record(Stage::RightHandSide, recording(&mut self.recorder, gpu));
             let GpuLiquid { buffers, solver, stages, .. } = liquid;

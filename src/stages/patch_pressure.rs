@@ -151,7 +151,7 @@ impl PatchPressure {
         }
     }
 
-    /// Records that the right-hand side is a new one, without them.
+    /// Clears the forces that are recorded as added, for a new right-hand side.
     pub fn record_clear(&self, to: &mut Recorder) {
         to.clear(&self.correction.words);
     }

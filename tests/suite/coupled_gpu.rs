@@ -87,6 +87,9 @@ fn cases() -> Vec<(&'static str, Scene)> {
     let pool = tank(0.55, &format!("{both}{}", forces(&["heavy"])));
     let full = tank(1.0, &light);
     let still = tank(1.0, &format!("{light}{PINNED}"));
+    let leaves =
+        tank(0.55, &format!("{}initial = {{ velocity = [0, 4, 0] }}\n", ball("leaves", [0.45, 0.5, 0.52], 300.0)));
+    let separates = ["liquid.separation=walls"];
     let bar = "[[solid]]
 name = \"bar\"
 mesh = { box = { size = [0.4, 0.08, 1.0], cells = [4, 1, 8] } }
@@ -112,6 +115,15 @@ poisson = 0.3
                 &tank(0.6, &format!("{heavy}{POST}")),
                 &["solver.coupling=damping_only", "solver.formulation=two_field"],
             ),
+        ),
+        ("a ball that the water lets go", scene(&leaves, &separates)),
+        (
+            "a ball that the water lets go, in weak coupling",
+            scene(&leaves, &[&separates[..], &["solver.coupling=weak"]].concat()),
+        ),
+        (
+            "a ball that the water lets go, in damping-only coupling",
+            scene(&leaves, &[&separates[..], &["solver.coupling=damping_only"]].concat()),
         ),
         ("pressure constant in cells", scene(&pool, &["solver.pressure_on_patches=cell"])),
         ("areas from corners", scene(&pool, &["solver.face_areas=nodal"])),
@@ -243,6 +255,8 @@ fn steps_are_the_twins() {
             let [found, wanted] =
                 [of_device, of_twin].map(|(liquid, solid)| [liquid.solve, solid.solve].map(|solve| solve.unknowns));
             assert_eq!(found, wanted, "{what}");
+            let separated = of_twin.0.separation.map_or(0, |separation| separation.cells);
+            assert!(!name.contains("lets go") || separated > 0, "{what}");
             let [twin, report] = [twin, report].map(|report| report.coupling.unwrap());
             assert_eq!(report.touching, twin.touching, "{what}");
             for (found, wanted) in [(report.force, twin.force), (report.correction, twin.correction)] {

@@ -131,7 +131,7 @@ fn linear_pressure_pushes_as_archimedes_says() {
     }
     assert!(inner > grid.n_cells() / 2);
     let forces = patch_pressure(&active.stencil, clip.patches(), &solids.triangles, solids.rest.len(), |_| slope);
-    let forces = forces.of_cells(|_| true);
+    let forces = forces.sum_over(|_| true);
     let mut of_centres = vec![0.0; 3 * solids.rest.len()];
     let coupling = clip.coupling().restricted(|cell| mask[cell]);
     coupling.add_transposed(&pressure, &mut of_centres);

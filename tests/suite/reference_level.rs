@@ -306,6 +306,8 @@ fn crowded_markers_are_an_excess() {
             let towards = excess(cells, (&components, &target), 0.0, &occupancy, &level);
             assert_eq!(towards, e_of, "{f}, {off}");
         }
+        let below_zero = excess(cells, (&components, &[-components.volume[0]]), 0.0, &occupancy, &level);
+        assert!(below_zero.iter().all(|e| *e <= 0.0), "{f}");
     }
 }
 

@@ -442,7 +442,7 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
     assert_close(&format!("{name}: gradients"), found);
 
     // From the device's gradients: its integrals are f32, a product of three terms and a sum per pair.
-    let twin = patch_pressure(&stencil, &joint.patches, &joint.triangles, n, |cell| slope_of[cell]).of_cells(|_| true);
+    let twin = patch_pressure(&stencil, &joint.patches, &joint.triangles, n, |cell| slope_of[cell]).sum_over(|_| true);
     let mut gross = vec![DVec3::ZERO; n];
     let mut count = vec![0.0; n];
     for (pair, moment) in coupling.pairs().iter().zip(&moments) {

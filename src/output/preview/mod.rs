@@ -217,17 +217,6 @@ impl Pictures {
                 "draw it without --separated, or run it with output.fields = true",
             ));
         }
-        // Before the first sub-step none is separated, and the file does not say so.
-        if let Some(frame) = files.keys().last().filter(|_| options.separated)
-            && read_separated(&fields_path(run, &manifest, *frame), &manifest)?.is_none()
-        {
-            let cure = "draw it without --separated, or run the scene with liquid.separation";
-            return Err(Error::input(
-                run.display().to_string(),
-                "its last frame does not say what cells are separated",
-                cure,
-            ));
-        }
         let solid_files = files.values().filter_map(|files| files.solids.as_deref());
         let scale = Scale::over(options.colour, solid_files)?;
         let name = &manifest.scene.name;
@@ -309,8 +298,9 @@ impl Pictures {
             scene.liquid = Liquid::new(&read_surface(file, manifest)?, walls);
         }
         if options.separated {
-            let cells = read_separated(&fields_path(&self.run, manifest, frame), manifest)?;
-            scene.separated = Triangles::new(cubes(&cells.unwrap_or_default(), manifest.dx as f32));
+            let fields = format!("{}_{frame:06}.vti", manifest.scene.name);
+            let cells = read_separated(&self.run.join("frames").join(fields), manifest)?;
+            scene.separated = Triangles::new(cubes(&cells, manifest.dx as f32));
         }
         // Moving obstacles have a file per frame.
         let obstacles = moved_obstacles_file(&manifest.scene.name, frame);
@@ -544,27 +534,22 @@ fn read_spray(path: &Path) -> Result<Vec<Vec3>, Error> {
     Ok(markers.filter(|(_, flies)| *flies != 0).map(|(x, _)| x).collect())
 }
 
-/// File with the fields of a frame.
-fn fields_path(run: &Path, manifest: &Manifest, frame: u64) -> PathBuf {
-    run.join("frames").join(format!("{}_{frame:06}.vti", manifest.scene.name))
-}
-
-/// Centres of the separated cells of a file of fields, m; `None` if it does not say.
-fn read_separated(path: &Path, manifest: &Manifest) -> Result<Option<Vec<Vec3>>, Error> {
+/// Centres of the separated cells of a file of fields, m.
+fn read_separated(path: &Path, manifest: &Manifest) -> Result<Vec<Vec3>, Error> {
     let DataSet::ImageData { pieces, .. } = read_vtk(path)? else {
         return Err(unreadable(path, "no fields"));
     };
     let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
         return Err(unreadable(path, "no inline data"));
     };
-    let Some(separated) = array(&piece.data.cell, "separated") else {
-        return Ok(None);
-    };
     let grid = Grid { cells: manifest.cells, dx: manifest.dx };
-    let separated = separated.into_vec::<u8>().filter(|separated| separated.len() == grid.n_cells());
-    let separated = separated.ok_or_else(|| unreadable(path, "no separated for every cell"))?;
+    let separated = array(&piece.data.cell, "separated").and_then(IOBuffer::into_vec::<u8>);
+    let separated = separated.filter(|separated| separated.len() == grid.n_cells()).ok_or_else(|| {
+        let cure = "draw it without --separated, or run the scene with liquid.separation";
+        Error::input(path.display().to_string(), "does not say what cells are separated", cure)
+    })?;
     let cells = separated.iter().enumerate().filter(|(_, separated)| **separated != 0);
-    Ok(Some(cells.map(|(cell, _)| grid.cell_centre(grid.cell_at(cell)).as_vec3()).collect()))
+    Ok(cells.map(|(cell, _)| grid.cell_centre(grid.cell_at(cell)).as_vec3()).collect())
 }
 
 /// Triangles of cubes about some points, half as wide as a cell.

@@ -65,9 +65,10 @@ impl SubStep<'_> {
 
     /// The forces by the variation of the pressure within cells, for the report and probes.
     fn sum_patch_forces(&mut self) {
-        let separated = self.results.separation.as_ref().map(Separation::cells);
-        let exerts = |cell: usize| separated.is_none_or(|separated| !separated[cell]);
-        let forces = self.results.patch_forces.of_cells(exerts);
+        let forces = match &self.results.separation {
+            Some(separation) => separation.patch_forces(),
+            None => self.results.patch_forces.sum_over(|_| true),
+        };
         self.results.coupling.correction = forces.iter().copied().sum::<DVec3>().to_array();
         self.results.node_forces = forces.iter().map(DVec3::to_array).collect();
         let n_nodes = self.solids().map_or(0, |solids| solids.rest.len());

@@ -233,7 +233,7 @@ impl SubStep<'_> {
         self.results.patch_forces = self.patch_forces(solids);
         let (displacement, velocity) = (&self.after.displacement, &mut self.after.node_velocity);
         let mut rhs = solid_right_hand_side(solids, matrices, velocity, dt);
-        rhs.add(solids, &self.results.patch_forces.of_cells(|_| true));
+        rhs.add(solids, &self.results.patch_forces.sum_over(|_| true));
         let contacts = Contacts::new(solids, obstacles, displacement, &rhs.values, dt);
         let contacts = match self.model.effects.solid_contact {
             true => contacts.none_active(),

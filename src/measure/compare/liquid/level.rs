@@ -409,7 +409,7 @@ impl LiquidComparison<'_> {
             let targets = targets.iter().map(|target| target * (1.0 + relative));
             twins.push(shifted(&targets.collect::<Vec<_>>()));
         }
-        // The shift is at most 0.04 cells.
+        // The shift is bounded.
         let spread = super::largest(twins[1..].iter().flat_map(|other| {
             let pairs = other.iter().zip(&twins[0]);
             pairs.map(|(other, twin)| (other - twin).abs())
@@ -430,7 +430,7 @@ impl LiquidComparison<'_> {
         }
         let most = super::largest(before.occupancy.iter().map(|f| f.abs())).max(1.0);
         // Volumes, in f32 with sums of fixed point, over the dead band of the volume control.
-        let bound = 64.0 * EPS * most / 0.05 + 1e-5 / 0.005;
+        let bound = (64.0 * EPS / 0.05 + 1e-5 / 0.005) * most;
         let twins = self.twins(&level, 2.0 * EPS * REACH, |level| {
             let renewed = self.renewed;
             let occupancy = &before.occupancy;
