@@ -17,5 +17,5 @@ struct LevelStep {
 
 // Largest shift of the level, cells: largest_shift of the twin, reference/volume_shift.rs.
 fn largest_shift(courant: f32) -> f32 {
-    return 0.04 * max(courant, 1.0);
+    return 0.04 * max(courant * courant / 9.0, 1.0);
 }

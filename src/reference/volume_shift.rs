@@ -1,13 +1,13 @@
 //! `volume_shift`: moves the level of each liquid component towards its target volume.
 //!
 //! ```text
-//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, +-0.04 max(1, C)),   A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
+//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, +-0.04 max(1, C^2 / 9)),   A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
 //! phi -= h_k
 //! ```
 //!
-//! in cells and cell volumes. C is the Courant number of the surface: errors of its transport grow with the distance it moves. dV_k is the target less the volume, less a dead band of 0.5 % of the target. The measured
-//! volume of a wave changes by that much at constant true volume, and a shift by it would amplify the wave. Enclosed
-//! components have no surface to move.
+//! in cells and cell volumes. C is the Courant number of the surface: the errors of its transport are of second order. dV_k is the
+//! target less the volume, less a dead band of 0.5 % of the target. The measured volume of a wave changes by that much at constant
+//! true volume, and a shift by it would amplify the wave. Enclosed components have no surface to move.
 
 use rayon::prelude::*;
 
@@ -16,12 +16,14 @@ use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
 pub(super) const DEAD_BAND: f64 = 0.005;
-/// Largest shift in a sub-step over the distance that the surface moves, or over one cell if that is more.
+/// Largest shift in a sub-step, cells. Twice that erases films thinner than a cell.
 const LARGEST: f64 = 0.04;
+/// Courant number above which the largest shift grows with its square.
+const LONG: f64 = 3.0;
 
 /// Largest shift in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
 pub fn largest_shift(courant: f64) -> f64 {
-    LARGEST * courant.max(1.0)
+    LARGEST * (courant / LONG).powi(2).max(1.0)
 }
 
 /// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s; `largest` from [`largest_shift`]. Returns the shifts, cells.

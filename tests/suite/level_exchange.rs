@@ -31,7 +31,7 @@ fn parse(rest: &str) -> Scene {
 }
 
 /// Courant number of the surface.
-const COURANT: f64 = 2.5;
+const COURANT: f64 = 7.5;
 
 const POOL: &str = "[liquid]\nsurface = \"level\"\n\
                     [[liquid.region]]\nhalf_space = { point = [0.0, 0.125, 0.0], normal = [0.0, 1.0, 0.0] }\n";

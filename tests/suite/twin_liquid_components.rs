@@ -13,7 +13,7 @@ use crate::level_case::{level_buffers, level_cases};
 use crate::liquid_case::{ActiveBuffers, Case, EPS, assert_close, single};
 
 /// Courant number of the surface.
-const COURANT: f64 = 2.5;
+const COURANT: f64 = 7.5;
 /// Volumes of cells in a unit of the sums.
 const UNIT: f64 = 1.0 / (1 << 23) as f64;
 /// Error of the volume of a cell, volumes of a cell: the distance to bodies over dx has a division of 5 half units and the rounding
