@@ -320,8 +320,8 @@ impl Contacts {
         first
     }
 
-    /// Largest a / (d + [`SKIN`]) of nodes with velocities (m/s) that close their gap to a surface, d (m) now, at a rate a, 1/s. Sub-steps up to its
-    /// inverse take no node through more than the skin.
+    /// Largest a / (d + s), s a thousandth of a cell, of nodes with velocities (m/s) that close their gap to a surface, d (m) now, at a rate a, 1/s. Sub-steps up to its
+    /// inverse take no node further than s through a surface.
     pub fn closing_rate(&self, velocity: &[[f64; 3]]) -> f64 {
         let nodes = self.surfaces.iter().zip(&self.prescribed).zip(velocity);
         let rates = nodes.flat_map(|((surfaces, &prescribed), v)| {
