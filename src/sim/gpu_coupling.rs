@@ -391,28 +391,29 @@ impl GpuCoupling {
             return Ok(());
         };
         self.on_device.write(gpu, (&self.clip, cut), triangles, false);
-        self.write_patches(gpu, scene, (liquid, solids), dt_last);
+        self.write_patches(gpu, scene, (liquid, solids), &pairs, dt_last);
         Ok(())
     }
 
     /// Writes the integrals over the patches, before all work submitted later: also again before a solve that is repeated, since those of cells that separated
-    /// are 0. `dt_last`: length of the last sub-step, s; 0 before the first.
+    /// are 0. `pairs`: those of the present clipping; `dt_last`: length of the last sub-step, s; 0 before the first.
     pub(super) fn write_patches(
         &mut self,
         gpu: &Gpu,
         scene: &Scene,
         (liquid, solids): (&GpuLiquid, &GpuSolids),
+        pairs: &[Pair],
         dt_last: f64,
     ) {
         if self.stages.patch_pressure.is_none() {
             return;
         }
         let (grid, density) = (scene.grid(), liquid.settings.density);
-        let (pairs, moments) = (self.pairs(&grid), self.moments(&grid, &solids.solids.triangles));
+        let moments = self.moments(&grid, &solids.solids.triangles);
         let scale = if dt_last > 0.0 { density / dt_last } else { 0.0 };
         let at_rest = slopes(scene, liquid).0;
         if let Some(patch_pressure) = &mut self.stages.patch_pressure {
-            patch_pressure.write(gpu, &pairs, &moments, (at_rest, scale));
+            patch_pressure.write(gpu, pairs, &moments, (at_rest, scale));
         }
     }
 
@@ -435,7 +436,7 @@ impl GpuCoupling {
     }
 
     /// J in device units.
-    fn pairs(&self, grid: &Grid) -> Vec<Pair> {
+    pub(super) fn pairs(&self, grid: &Grid) -> Vec<Pair> {
         let (padded, area) = (grid.padded(), grid.dx * grid.dx);
         let pairs = self.clip.coupling().pairs().par_iter();
         pairs

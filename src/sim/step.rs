@@ -344,7 +344,8 @@ impl SubStep<'_, '_> {
     fn open(&mut self, squeeze: &Squeeze) -> Result<(), Error> {
         let GpuPath { gpu, scene, head, liquid, solids, coupling, .. } = &mut *self.path;
         if let Some((coupling, (liquid, solids))) = coupling.as_mut().zip(liquid.as_ref().zip(solids.as_ref())) {
-            coupling.write_patches(gpu, scene, (liquid, solids), head.dt_last);
+            let pairs = coupling.pairs(&scene.grid());
+            coupling.write_patches(gpu, scene, (liquid, solids), &pairs, head.dt_last);
         }
         if let Some(liquid) = liquid {
             liquid.stages.record(Stage::RightHandSide, recording(&mut self.recorder, gpu));
