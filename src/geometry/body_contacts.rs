@@ -20,9 +20,10 @@ use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
 
-/// Cosine between the normals of two faces above which their common edge has no pairs: 0.8 degrees, an overlap of 0.4 % of the edge.
+/// Cosine between the normals of two faces above which their common edge is flat: 0.8 degrees, an overlap of 0.4 % of the edge.
 const FLAT_EDGE: f64 = 0.9999;
-/// Cosine between the normal of a face and the direction to a node above which the node is before the face, not beside its edge.
+/// Cosine between the normal of a face and the direction to a node above which the node is before the face, not beside its edge; and between the
+/// normals of two faces above which a motion may make a concave edge convex.
 const BEFORE: f64 = 0.99;
 /// Part of an edge at its ends where its nodes stand for it.
 const ENDS: f64 = 1e-3;
@@ -40,7 +41,7 @@ const NODE_SLACK: f64 = 0.15;
 const FACE_SLACK: f64 = 0.5;
 /// The same for a node inside the other body, which needs a pair.
 const INSIDE_SLACK: f64 = 0.9;
-/// Depth of meetings of a body with itself that count only without others, over that of others.
+/// Depth of following meetings of a body with itself over that of leading ones.
 const LATER: f64 = 10.0;
 /// Largest overlap of a body with itself, relative to its shortest edge.
 const SELF_DEPTH: f64 = 1e-2;
@@ -66,7 +67,7 @@ struct Edge {
     normals: [DVec3; 2],
     /// Unit directions from the edge into the faces, along them.
     inwards: [DVec3; 2],
-    /// Whether nodes beside the faces stand for it in all but a motion in which nothing else meets.
+    /// Nearly coplanar faces, or slightly concave ones: nodes beside them stand for it in all but a motion in which nothing else meets.
     flat: bool,
 }
 
@@ -78,7 +79,7 @@ struct Skin {
     mesh: TriMesh,
     /// Of the vertices of the mesh.
     nodes: Nodes,
-    /// Convex edges.
+    /// Convex and flat edges.
     edges: Vec<Edge>,
     edge_tree: Bvh,
     /// Largest overlap with itself, m.
@@ -96,7 +97,7 @@ impl Skin {
         let faces = triangles.iter().map(|triangle| triangle.map(local)).collect();
         let [low, high] = super::bounds(vertices.iter().copied());
         let mesh = TriMesh::with_flags(vertices, faces, TriMeshFlags::ORIENTED).ok()?;
-        let edges = sharp_edges(positions, triangles);
+        let edges = contact_edges(positions, triangles);
         let ends = |edge: &Edge| super::bounds(edge.nodes.iter().map(|&node| positions[node as usize]));
         let sides = nodes.iter().flat_map(|(node, others)| others.iter().map(|other| [*node, *other]));
         let lengths = sides.map(|side| side.map(|node| positions[node as usize])).map(|[a, b]| a.distance(b));
@@ -277,8 +278,8 @@ fn each_near<T>(
 }
 
 /// The pairs that meet in the motion of all nodes from `positions` along `ways` (both m) and end deep behind each other, in the order of their
-/// nodes. Gaps are those of the start, along the normals of the meeting. `depth`: as a reach, the depth that counts; `overlap`: largest overlap of a
-/// body with itself at the start that must not grow, m. Other arguments as of [`contact_pairs`].
+/// nodes. Gaps are those of the start, along the normals of the meeting. `depth`: as a reach, the depth that counts; `overlap`: largest overlap at
+/// the start that must not grow, m. Other arguments as of [`contact_pairs`].
 pub fn contact_hits(
     positions: &[DVec3],
     ways: &[DVec3],
@@ -287,7 +288,7 @@ pub fn contact_hits(
     overlap: f64,
 ) -> Vec<ContactPair> {
     let ends: Vec<DVec3> = positions.iter().zip(ways).map(|(x, way)| x + way).collect();
-    let motion = Motion { positions, ways, ends: &ends, depth: 0.0, overlap: 0.0, leading: true };
+    let motion = Motion { positions, ways, ends: &ends, depth: 0.0, overlap, leading: true };
     let bounds = |body: &Range<usize>| motion.bounds(triangles[body.clone()].as_flattened());
     let near = near_bodies(&bodies.iter().map(bounds).collect::<Vec<_>>(), depth);
     let swept = each_near(bodies, &near, |body| Some(Swept::new(&motion, &triangles[body])));
@@ -297,46 +298,13 @@ pub fn contact_hits(
             continue;
         };
         let motion = Motion { depth, ..motion };
-        if number == other_number {
-            own_hits(&Motion { overlap, ..motion }, body, &mut hits);
-            continue;
+        match number == other_number {
+            true => motion.own_hits(body, &mut hits),
+            false => motion.hits(body, other, 1.0, &mut hits),
         }
-        motion.node_hits(body, other, &mut hits);
-        motion.node_hits(other, body, &mut hits);
-        motion.edge_hits(body, other, &mut hits);
     }
     hits.sort_by_cached_key(ContactPair::key);
     hits
-}
-
-/// Adds the meetings of a body with itself, in the frame of its mean motion. Nodes that follow others through a face, edges that face away from
-/// each other, and nearly flat edges count only where nothing else meets, and pairs that overlap at the end only without any of these: a motion that
-/// starts with an overlap, or turns the surfaces, has no other sign of it.
-fn own_hits(motion: &Motion, body: &Swept, hits: &mut Vec<ContactPair>) {
-    let ways = body.nodes.iter().map(|(node, _)| motion.ways[*node as usize]);
-    let mean = ways.sum::<DVec3>() / body.nodes.len() as f64;
-    let less = |of: &[DVec3]| -> Vec<DVec3> { of.iter().map(|x| x - mean).collect() };
-    let (ways, ends) = (less(motion.ways), less(motion.ends));
-    let leading = Motion { ways: &ways, ends: &ends, ..*motion };
-    let body = Swept::new(&leading, body.faces);
-    let others = Motion { leading: false, depth: LATER * leading.depth, ..leading };
-    let mut own = Vec::new();
-    for motion in [leading, others] {
-        if own.is_empty() {
-            motion.node_hits(&body, &body, &mut own);
-            motion.edge_hits(&body, &body, &mut own);
-        }
-    }
-    if own.is_empty() {
-        let deeper = |pair: ContactPair| {
-            let gap = others.gap(&pair, others.positions);
-            (pair.gap < gap.min(0.0) - others.depth).then_some(ContactPair { gap, ..pair })
-        };
-        let whole = 0..body.faces.len();
-        let pairs = contact_pairs(&ends, body.faces, std::slice::from_ref(&whole), &|_, _| Some(leading.depth));
-        own.extend(pairs.into_iter().filter_map(deeper));
-    }
-    hits.append(&mut own);
 }
 
 /// A motion along straight lines.
@@ -346,9 +314,9 @@ struct Motion<'a> {
     ways: &'a [DVec3],
     ends: &'a [DVec3],
     depth: f64,
-    /// Of a body with itself; 0 for two.
+    /// Largest overlap at the start that must not grow, m.
     overlap: f64,
-    /// Without nodes that follow others through a face, and edges that face away from each other.
+    /// Without nodes that follow others through a face, edges that face away from each other, and flat ones.
     leading: bool,
 }
 
@@ -358,7 +326,7 @@ struct Swept<'a> {
     faces: &'a [[u32; 3]],
     /// Boxes of the faces.
     face_tree: Bvh,
-    /// Convex edges.
+    /// Convex and flat edges.
     edges: Vec<Edge>,
     /// Boxes of these.
     edge_tree: Bvh,
@@ -367,7 +335,7 @@ struct Swept<'a> {
 
 impl<'a> Swept<'a> {
     fn new(motion: &Motion, triangles: &'a [[u32; 3]]) -> Swept<'a> {
-        let edges = sharp_edges(motion.positions, triangles);
+        let edges = contact_edges(motion.positions, triangles);
         Swept {
             bounds: motion.bounds(triangles.as_flattened()),
             faces: triangles,
@@ -415,6 +383,54 @@ impl Motion<'_> {
         points.map(|&(node, weight)| weight * of[node as usize].dot(pair.normal)).sum()
     }
 
+    /// Adds the meetings of a body with itself, in the frame of its mean motion. Without any, adds the pairs that overlap more at the end: a motion
+    /// that starts with an overlap, or turns the surfaces, has no other sign of it.
+    fn own_hits(&self, body: &Swept, hits: &mut Vec<ContactPair>) {
+        let ways = body.nodes.iter().map(|(node, _)| self.ways[*node as usize]);
+        let mean = ways.sum::<DVec3>() / body.nodes.len() as f64;
+        let less = |of: &[DVec3]| -> Vec<DVec3> { of.iter().map(|x| x - mean).collect() };
+        let relative = Motion { ways: &less(self.ways), ends: &less(self.ends), ..*self };
+        let body = Swept::new(&relative, body.faces);
+        let mut own = Vec::new();
+        relative.hits(&body, &body, LATER, &mut own);
+        if own.is_empty() {
+            let deeper = |pair: ContactPair| {
+                let gap = relative.gap(&pair, relative.positions);
+                (pair.gap < gap.min(0.0) - LATER * self.depth).then_some(ContactPair { gap, ..pair })
+            };
+            let whole = 0..body.faces.len();
+            let reach = |_, _| Some(self.depth);
+            let pairs = contact_pairs(relative.ends, body.faces, std::slice::from_ref(&whole), &reach);
+            own.extend(pairs.into_iter().filter_map(deeper));
+        }
+        hits.append(&mut own);
+    }
+
+    /// Adds the meetings of two bodies, or of a body with itself. Where no leading ones are, nodes that follow others through a face and flat
+    /// edges count too, each with what it meets first, if they end `later` times as deep.
+    fn hits(&self, body: &Swept, other: &Swept, later: f64, hits: &mut Vec<ContactPair>) {
+        let following = Motion { leading: false, depth: later * self.depth, ..*self };
+        let mut found = Vec::new();
+        for motion in [*self, following] {
+            if found.is_empty() {
+                motion.node_hits(body, other, &mut found);
+                if !std::ptr::eq(body, other) {
+                    motion.node_hits(other, body, &mut found);
+                }
+                motion.edge_hits(body, other, &mut found);
+            }
+        }
+        hits.append(&mut found);
+    }
+
+    /// Of pairs with their parts of the motion: all leading ones, or the first.
+    fn counting(&self, pairs: impl Iterator<Item = (f64, ContactPair)>) -> Vec<ContactPair> {
+        match self.leading {
+            true => pairs.map(|(_, pair)| pair).collect(),
+            false => pairs.min_by(|a, b| a.0.total_cmp(&b.0)).into_iter().map(|(_, pair)| pair).collect(),
+        }
+    }
+
     /// Adds the nodes of a body that cross faces of another, or of itself.
     fn node_hits(&self, body: &Swept, other: &Swept, hits: &mut Vec<ContactPair>) {
         let same = std::ptr::eq(body, other);
@@ -422,33 +438,27 @@ impl Motion<'_> {
         let nodes = nodes.filter(|(_, bounds)| meet(bounds, &other.bounds));
         hits.par_extend(nodes.flat_map_iter(|(node, bounds)| {
             let faces = meeting(&other.face_tree, &bounds).into_iter().map(|face| other.faces[face]);
-            let faces = faces.filter(move |face| !(same && joined(&body.nodes, &[node.0], face)));
-            faces.filter_map(move |face| self.node_hit(node, face))
+            let faces = faces.filter(|face| !(same && joined(&body.nodes, &[node.0], face)));
+            self.counting(faces.filter_map(|face| self.node_hit(node, face)))
         }));
     }
 
     /// Adds the edges of a body that cross those of another, or of itself.
     fn edge_hits(&self, body: &Swept, other: &Swept, hits: &mut Vec<ContactPair>) {
         let same = std::ptr::eq(body, other);
-        hits.par_extend(body.edges.par_iter().flat_map_iter(|edge| {
+        let counts = |edge: &&Edge| !(edge.flat && self.leading);
+        hits.par_extend(body.edges.par_iter().filter(counts).flat_map_iter(|edge| {
             let others = meeting(&other.edge_tree, &self.bounds(&edge.nodes)).into_iter().map(|at| &other.edges[at]);
             // Of a body, each two once.
-            let once = move |against: &&Edge| {
+            let once = |against: &&Edge| {
                 !same || edge.nodes < against.nodes && !joined(&body.nodes, &edge.nodes, &against.nodes)
             };
-            others.filter(once).filter_map(move |against| self.edge_hit(edge, against))
+            self.counting(others.filter(counts).filter(once).filter_map(|against| self.edge_hit(edge, against)))
         }));
     }
 
-    /// The first part of the motion at which a function, a cubic in it, is 0 and `here` agrees; of a body with itself its
-    /// start counts too, where points may be behind each other.
-    fn first<T>(&self, cubic: impl Fn(f64) -> f64, here: impl Fn(f64) -> Option<T>) -> Option<T> {
-        let start = (self.overlap > 0.0).then_some(0.0);
-        start.into_iter().chain(roots(cubic)).find_map(here)
-    }
-
-    /// A node that crosses a face from outside, no later than its neighbours.
-    fn node_hit(&self, (node, neighbours): &(u32, Vec<u32>), face: [u32; 3]) -> Option<ContactPair> {
+    /// A node that crosses a face from outside, no later than its neighbours, with the part of the motion at which they meet.
+    fn node_hit(&self, (node, neighbours): &(u32, Vec<u32>), face: [u32; 3]) -> Option<(f64, ContactPair)> {
         let node = *node;
         let corners = |part: f64| face.map(|corner| self.at(corner, part));
         let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a);
@@ -456,39 +466,35 @@ impl Motion<'_> {
             let corners = corners(part);
             (self.at(node, part) - corners[0]).dot(normal(corners))
         };
-        if self.overlap == 0.0 && volume(0.0) < 0.0 {
-            return None;
-        }
-        self.first(volume, |part| {
+        meetings(volume).find_map(|part| {
             let [a, b, c] = corners(part);
             let x = self.at(node, part);
             let n = normal([a, b, c]);
             let area = n.length_squared();
             let weight = |a: DVec3, b: DVec3| (a - x).cross(b - x).dot(n) / area;
             let weights = [weight(b, c), weight(c, a), weight(a, b)];
-            let inside = weights.iter().all(|weight| *weight >= -ENDS);
+            // What slides along a surface crosses faces of the other at their borders.
+            let border = |side: DVec3| if self.leading { -ENDS } else { self.depth * side.length() / area.sqrt() };
+            let inside = weights.iter().zip([c - b, a - c, b - a]).all(|(weight, side)| *weight >= border(side));
             let points = face.into_iter().zip(weights.map(|weight| -weight));
             let n = n / area.sqrt();
             let neighbours = neighbours.iter().map(|&other| self.at(other, part));
-            let first = !self.leading || is_foremost(x, neighbours, -n, FACE_SLACK);
-            let meets = area > 0.0 && inside && first;
-            meets.then(|| self.pair(points.chain([(node, 1.0)]), n, part)).flatten()
+            let counts = !self.leading || is_foremost(x, neighbours, -n, FACE_SLACK);
+            let meets = area > 0.0 && inside && counts;
+            meets.then(|| Some((part, self.pair(points.chain([(node, 1.0)]), n, part)?))).flatten()
         })
     }
 
-    /// Two edges that cross from outside.
-    fn edge_hit(&self, one: &Edge, other: &Edge) -> Option<ContactPair> {
+    /// Two edges that cross from outside, with the part of the motion at which they meet.
+    fn edge_hit(&self, one: &Edge, other: &Edge) -> Option<(f64, ContactPair)> {
         let (a, b) = (one.nodes, other.nodes);
         let ends = |part: f64| [a, b].map(|edge| edge.map(|node| self.at(node, part)));
-        if (one.flat || other.flat) && self.leading {
-            return None;
-        }
         let outwards = other.normals[0] + other.normals[1] - one.normals[0] - one.normals[1];
         let volume = |part: f64| {
             let [[a0, a1], [b0, b1]] = ends(part);
             (b0 - a0).dot((a1 - a0).cross(b1 - b0))
         };
-        self.first(volume, |part| {
+        meetings(volume).find_map(|part| {
             let [[a0, a1], [b0, b1]] = ends(part);
             let (u, v, w) = (a1 - a0, b1 - b0, b0 - a0);
             let across = u.cross(v);
@@ -503,25 +509,33 @@ impl Motion<'_> {
             }
             let points = [(a[0], 1.0 - s), (a[1], s), (b[0], t - 1.0), (b[1], -t)];
             let before: DVec3 = points.iter().map(|&(node, weight)| weight * self.positions[node as usize]).sum();
-            // The first edge leaves the side from which it came.
-            let side = if self.overlap > 0.0 && self.leading { outwards } else { before };
+            // The first edge leaves the side from which it came, or on which it should be.
+            let apart = before.dot(across).abs() > self.overlap * squared.sqrt();
+            let side = if apart { before } else { outwards };
             let sign = if side.dot(across) >= 0.0 { 1.0 } else { -1.0 };
             let normal = sign / squared.sqrt() * across;
-            let faces = self.overlap > 0.0 || normal.dot(outwards) >= 0.0;
-            faces.then(|| self.pair(points.into_iter(), normal, part)).flatten()
+            // Of those that follow, edges whose faces turn away from the normal: others slide past each other.
+            let leaves = |edge: &Edge, way: DVec3| edge.inwards.iter().all(|inwards| way.dot(*inwards) <= FACE_SLACK);
+            let faces = match self.leading {
+                true => normal.dot(outwards) >= 0.0,
+                false => leaves(other, normal) && leaves(one, -normal),
+            };
+            faces.then(|| Some((part, self.pair(points.into_iter(), normal, part)?))).flatten()
         })
     }
 
-    /// The pair, if its points start apart, meet at a part of the motion, and end behind each other.
+    /// The pair, if its points start apart, or little behind each other, and end deeper.
     fn pair(&self, points: impl Iterator<Item = (u32, f64)>, normal: DVec3, part: f64) -> Option<ContactPair> {
         let pair = ContactPair::new(points, normal, 0.0);
         let [gap, end] = [self.positions, self.ends].map(|of| self.gap(&pair, of));
-        let meets = match self.overlap > 0.0 {
-            true => gap >= -self.overlap && (part > 0.0 || gap <= self.overlap) && end < gap.min(0.0) - self.depth,
-            false => end < -self.depth,
-        };
-        meets.then_some(ContactPair { gap, ..pair })
+        let starts = gap >= -self.overlap && (part > 0.0 || gap <= self.overlap);
+        (starts && end < gap.min(0.0) - self.depth).then_some(ContactPair { gap, ..pair })
     }
+}
+
+/// The parts of a motion at which points may meet: its start, where they may be behind each other, and the roots of a cubic.
+fn meetings(cubic: impl Fn(f64) -> f64) -> impl Iterator<Item = f64> {
+    [0.0].into_iter().chain(roots(cubic))
 }
 
 /// The roots of a cubic in 0..=1, ascending, between its extrema.
@@ -562,8 +576,8 @@ fn roots(cubic: impl Fn(f64) -> f64) -> Vec<f64> {
     brackets.collect()
 }
 
-/// Convex edges of a surface.
-fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
+/// Edges of a surface that are not concave by more than BEFORE.
+fn contact_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let at = |node: u32| positions[node as usize];
     let mut sides: Vec<([u32; 2], DVec3, DVec3)> = Vec::new();
     for triangle in triangles {
@@ -580,8 +594,8 @@ fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
     let edges = sides.chunk_by(|a, b| a.0 == b.0);
     edges
         .filter_map(|faces| match faces {
-            [one, two] if one.1.dot(two.1) < FLAT_EDGE && one.1.dot(two.2) < 0.0 => {
-                let flat = one.1.dot(two.1) >= BEFORE;
+            [one, two] if one.1.dot(two.1) >= BEFORE || one.1.dot(two.2) < 0.0 => {
+                let flat = one.1.dot(two.1) >= FLAT_EDGE || one.1.dot(two.2) >= 0.0;
                 Some(Edge { nodes: one.0, normals: [one.1, two.1], inwards: [one.2, two.2], flat })
             }
             _ => None,
@@ -593,14 +607,13 @@ fn sharp_edges(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Edge> {
 fn edge_pairs(positions: &[DVec3], skin: &Skin, other: &Skin, reach: f64, pairs: &mut Vec<ContactPair>) {
     let same = std::ptr::eq(skin, other);
     let ends = |edge: &Edge| edge.nodes.map(|node| positions[node as usize]);
-    let found = skin.edges.par_iter().flat_map_iter(|a| {
+    let sharp = |edge: &&Edge| !edge.flat;
+    let found = skin.edges.par_iter().filter(sharp).flat_map_iter(|a| {
         let [low, high] = super::bounds(ends(a).into_iter());
         let near = meeting(&other.edge_tree, &[low - reach, high + reach]).into_iter().map(|at| &other.edges[at]);
         // Of a body, each two once.
-        let once = move |b: &&Edge| {
-            !a.flat && !b.flat && (!same || a.nodes < b.nodes && !joined(&skin.nodes, &a.nodes, &b.nodes))
-        };
-        near.filter(once).filter_map(move |b| edge_pair(ends, (skin, a), (other, b), reach))
+        let once = move |b: &&Edge| !same || a.nodes < b.nodes && !joined(&skin.nodes, &a.nodes, &b.nodes);
+        near.filter(sharp).filter(once).filter_map(move |b| edge_pair(ends, (skin, a), (other, b), reach))
     });
     pairs.par_extend(found);
 }

@@ -94,6 +94,25 @@ pub fn complementarity(
     unreachable!("the last exchange returns")
 }
 
+/// A sweep of projected Gauss-Seidel, which never increases z W z / 2 + q z. Returns the places of z.
+pub(super) fn relax(
+    matrix: &impl Fn(usize, usize) -> f64,
+    q: &[f64],
+    bounds: &[[f64; 2]],
+    z: &mut [f64],
+) -> Vec<Place> {
+    let rows = bounds.iter().enumerate().map(|(i, [lower, upper])| {
+        let product: f64 = z.iter().enumerate().map(|(j, z)| matrix(i, j) * z).sum();
+        z[i] = (z[i] - (product + q[i]) / matrix(i, i)).max(*lower).min(*upper);
+        match (z[i] <= *lower, z[i] >= *upper) {
+            (true, _) => Place::Lower,
+            (_, true) => Place::Upper,
+            _ => Place::Between,
+        }
+    });
+    rows.collect()
+}
+
 /// The place of an unknown for z = 0.
 fn first_place(q: f64, [lower, upper]: [f64; 2]) -> Place {
     match upper > 0.0 && (q < 0.0 || lower < 0.0) {

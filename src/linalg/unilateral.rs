@@ -16,7 +16,7 @@
 
 use rayon::prelude::*;
 
-use super::complementarity::{Complementarity, DenseCholesky, PUSHING, Place, complementarity};
+use super::complementarity::{Complementarity, DenseCholesky, PUSHING, Place, complementarity, relax};
 
 /// Relative increase of the diagonal of W: redundant rows share their force.
 const COMPLIANCE: f64 = 1e-11;
@@ -30,6 +30,8 @@ const INDEPENDENT: f64 = 1e-8;
 const LEAST_RESPONSE: f64 = 1e-3;
 /// Largest number of passes with the friction of the pass before.
 const MOST_PASSES: u32 = 20;
+/// Sweeps of the relaxation that replaces a pivoting that does not end.
+const SWEEPS: u32 = 200;
 /// Change of the bounds of friction in a pass, relative to the largest, that ends the passes.
 const SAME_BOUNDS: f64 = 1e-8;
 /// The same from a solve of a search to the next, relative to the bound itself.
@@ -181,6 +183,17 @@ impl UnilateralRows {
             let next = complementarity(matrix, slacks, &bounds, start);
             found = Complementarity { pivots: found.pivots + next.pivots, ..next };
             before = most;
+        }
+        if found.wrong > 0 {
+            // Dependent rows in a wrong set may have any force. Those of a relaxation from 0 are of the size of the solution's.
+            found.z.fill(0.0);
+            for _ in 0..SWEEPS {
+                let most = self.friction_bounds(&found.z, |_| false);
+                for (tangent, _) in self.tangential() {
+                    bounds[tangent] = [-most[tangent], most[tangent]];
+                }
+                found.places = relax(&matrix, slacks, &bounds, &mut found.z);
+            }
         }
         found
     }

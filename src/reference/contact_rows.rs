@@ -45,7 +45,7 @@ const DEPTH: f64 = 1e-3;
 const OWN_DEPTH: f64 = 1e-5;
 /// The same for a body and itself in a motion that must be shorter.
 const OWN_PASSING: f64 = 1e-4;
-/// Overlap of a body with itself at the start of a motion that rows keep from growing, cells.
+/// Overlap at the start of a motion that rows keep from growing, cells.
 const OVERLAP: f64 = 1e-2;
 /// Largest number of solves with rows of meetings that the rows before missed.
 pub const MOST_MEETINGS: u32 = 4;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use cutwater::elastic::Solids;
-use cutwater::geometry::obstacle_cut;
+use cutwater::geometry::{TetMesh, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{PUSHING, complementarity};
 use cutwater::reference::{Reference, TimeStep};
@@ -14,7 +14,7 @@ use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu, project_scene};
 use crate::solid_cases::{held, region};
-use crate::solid_scene::{block, scene_of, solids_of};
+use crate::solid_scene::{block, scene_of, solids_of, write_tets};
 
 const GRAVITY: f64 = 9.81;
 
@@ -127,6 +127,48 @@ fn a_block_slides_or_sticks_on_a_slope() {
             }
             assert!((x1 - x0).dot(normal).abs() <= 1e-3, "{ground:?}");
         }
+    }
+}
+
+/// The same where the block and what it lies on are two pieces of a solid that touches itself.
+#[test]
+fn a_piece_of_a_body_slides_or_sticks_on_another() {
+    let angle = 30_f64.to_radians();
+    let dt = 1.0 / 120.0;
+    let folder = tempfile::tempdir().unwrap();
+    for friction in [0.3, 0.65] {
+        let (mut scene, [along, normal]) = slope(Ground::Solid, angle, friction);
+        let [block, plate] = [0, 1].map(|body| TetMesh::new(&scene.solids[body], "piece").unwrap());
+        let gap = 1e-4;
+        let n = block.nodes.len();
+        let nodes: Vec<DVec3> = block.nodes.iter().map(|node| node + gap * normal).chain(plate.nodes).collect();
+        let shifted = plate.elements.iter().map(|corners| corners.map(|node| node + n as u32));
+        let elements: Vec<[u32; 4]> = block.elements.into_iter().chain(shifted).collect();
+        let path = folder.path().join(format!("pieces_{friction}.vtu"));
+        write_tets(&path, &nodes, &elements);
+        scene.solids.truncate(1);
+        let body = &mut scene.solids[0];
+        body.mesh = SolidMesh::File { file: path.into(), unit: 1.0 };
+        body.placement = Placement::default();
+        body.pins = vec![held(region(DVec3::ZERO, DVec3::new(4.0, 2.0 + 0.5 * gap, 4.0)), [true; 3])];
+        (body.friction, body.self_contact) = (friction, true);
+        let (mut reference, solids) = start(&scene);
+        let mass: f64 = solids.mass[..n].iter().sum();
+        let speed = |reference: &Reference| {
+            let velocity = reference.state().node_velocity.iter();
+            let p = solids.mass[..n].iter().zip(velocity).map(|(mass, v)| mass * DVec3::from(*v));
+            p.sum::<DVec3>() / mass
+        };
+        advance(&mut reference, dt, 12);
+        let before = speed(&reference);
+        advance(&mut reference, dt, 36);
+        let after = speed(&reference);
+        let got = (after - before).dot(along) / (36.0 * dt);
+        let theory = (GRAVITY * (angle.sin() - friction * angle.cos())).max(0.0);
+        println!("{friction}: {got} m/s^2 of {theory}, {after} m/s");
+        assert!((got - theory).abs() <= 0.01 * theory.max(0.1), "{friction}: {got} m/s^2 for {theory}");
+        let stray = if theory > 0.0 { after.dot(normal).abs() } else { after.length() };
+        assert!(stray <= 1e-3, "{friction}: {after} m/s");
     }
 }
 

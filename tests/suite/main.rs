@@ -22,6 +22,7 @@ mod coupled_case;
 mod coupled_gpu;
 mod coupled_step;
 mod dinosaur;
+mod drops;
 mod edits;
 mod elastic;
 mod export;

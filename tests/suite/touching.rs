@@ -211,7 +211,7 @@ fn motions_through_surfaces_are_found() {
         let positions = [moving, &base].concat();
         let triangles = [faces(0, moving), faces(4, &base)].concat();
         let ways: Vec<DVec3> = (0..8).map(|node| if node < 4 { way } else { DVec3::ZERO }).collect();
-        contact_hits(&positions, &ways, &triangles, (&[0..4, 4..8], &|a, b| (a != b).then_some(1e-9)), 0.0)
+        contact_hits(&positions, &ways, &triangles, (&[0..4, 4..8], &|a, b| (a != b).then_some(1e-9)), 1e-9)
     };
     let down = hits(&corner, DVec3::new(0.0, -0.3, 0.0));
     assert_eq!(down.len(), 1, "{down:?}");
