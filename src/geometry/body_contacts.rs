@@ -298,10 +298,10 @@ pub fn contact_hits(
             continue;
         };
         let motion = Motion { depth, ..motion };
-        match number == other_number {
-            true => motion.own_hits(body, &mut hits),
-            false => motion.hits(body, other, 1.0, &mut hits),
-        }
+        hits.extend(match number == other_number {
+            true => motion.own_hits(body),
+            false => motion.hits(body, other, 1.0),
+        });
     }
     hits.sort_by_cached_key(ContactPair::key);
     hits
@@ -383,16 +383,15 @@ impl Motion<'_> {
         points.map(|&(node, weight)| weight * of[node as usize].dot(pair.normal)).sum()
     }
 
-    /// Adds the meetings of a body with itself, in the frame of its mean motion. Without any, adds the pairs that overlap more at the end: a motion
-    /// that starts with an overlap, or turns the surfaces, has no other sign of it.
-    fn own_hits(&self, body: &Swept, hits: &mut Vec<ContactPair>) {
+    /// The meetings of a body with itself, in the frame of its mean motion. Without any, the pairs that overlap more at the end: a motion that
+    /// starts with an overlap, or turns the surfaces, has no other sign of it.
+    fn own_hits(&self, body: &Swept) -> Vec<ContactPair> {
         let ways = body.nodes.iter().map(|(node, _)| self.ways[*node as usize]);
         let mean = ways.sum::<DVec3>() / body.nodes.len() as f64;
         let less = |of: &[DVec3]| -> Vec<DVec3> { of.iter().map(|x| x - mean).collect() };
         let relative = Motion { ways: &less(self.ways), ends: &less(self.ends), ..*self };
         let body = Swept::new(&relative, body.faces);
-        let mut own = Vec::new();
-        relative.hits(&body, &body, LATER, &mut own);
+        let mut own = relative.hits(&body, &body, LATER);
         if own.is_empty() {
             let deeper = |pair: ContactPair| {
                 let gap = relative.gap(&pair, relative.positions);
@@ -403,12 +402,12 @@ impl Motion<'_> {
             let pairs = contact_pairs(relative.ends, body.faces, std::slice::from_ref(&whole), &reach);
             own.extend(pairs.into_iter().filter_map(deeper));
         }
-        hits.append(&mut own);
+        own
     }
 
-    /// Adds the meetings of two bodies, or of a body with itself. Where no leading ones are, nodes that follow others through a face and flat
+    /// The meetings of two bodies, or of a body with itself. Where no leading ones are, nodes that follow others through a face and flat
     /// edges count too, each with what it meets first, if they end `later` times as deep.
-    fn hits(&self, body: &Swept, other: &Swept, later: f64, hits: &mut Vec<ContactPair>) {
+    fn hits(&self, body: &Swept, other: &Swept, later: f64) -> Vec<ContactPair> {
         let following = Motion { leading: false, depth: later * self.depth, ..*self };
         let mut found = Vec::new();
         for motion in [*self, following] {
@@ -420,7 +419,7 @@ impl Motion<'_> {
                 motion.edge_hits(body, other, &mut found);
             }
         }
-        hits.append(&mut found);
+        found
     }
 
     /// Of pairs with their parts of the motion: all leading ones, or the first.

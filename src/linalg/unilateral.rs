@@ -185,7 +185,7 @@ impl UnilateralRows {
             before = most;
         }
         if found.wrong > 0 {
-            // Dependent rows in a wrong set may have any force. Those of a relaxation from 0 are of the size of the solution's.
+            // Dependent rows in a wrong set may have any force. A relaxation from 0 lowers the energy in each sweep.
             found.z.fill(0.0);
             for _ in 0..SWEEPS {
                 let most = self.friction_bounds(&found.z, |_| false);

@@ -15,7 +15,8 @@ use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
 
 use crate::common::Random;
-use crate::solid_scene::{block, write_tets};
+use crate::solid_scene::block;
+use crate::tet_files::write_tets;
 
 /// End of a drop, s.
 const END: f64 = 0.5;

@@ -14,7 +14,8 @@ use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu, project_scene};
 use crate::solid_cases::{held, region};
-use crate::solid_scene::{block, scene_of, solids_of, write_tets};
+use crate::solid_scene::{block, scene_of, solids_of};
+use crate::tet_files::write_tets;
 
 const GRAVITY: f64 = 9.81;
 

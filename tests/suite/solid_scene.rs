@@ -1,8 +1,6 @@
 //! Scenes of solids, for the suite and for the validation.
 
-use std::fmt::Write;
 use std::fs;
-use std::path::Path;
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::TetMesh;
@@ -79,33 +77,6 @@ pub(crate) fn solids_of(scene: &Scene) -> Solids {
 /// One solid by itself.
 pub(crate) fn alone(solid: Solid) -> Solids {
     solids_of(&scene_of(vec![solid]))
-}
-
-/// Writes tetrahedra, and their nodes alone (m), as a .vtu file.
-pub(crate) fn write_tets(path: &Path, nodes: &[DVec3], elements: &[[u32; 4]]) {
-    let mut used = elements.as_flattened().to_vec();
-    used.sort_unstable();
-    used.dedup();
-    let points = used.iter().flat_map(|&node| nodes[node as usize].to_array()).collect();
-    let local = |node: &u32| used.partition_point(|other| other < node) as f64;
-    let corners = elements.as_flattened().iter().map(local).collect();
-    let offsets = (1..=elements.len()).map(|n| 4.0 * n as f64).collect();
-    let array = |text: &mut String, attributes: &str, values: Vec<f64>| {
-        let values = values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
-        write!(text, "<DataArray {attributes} format=\"ascii\">{values}</DataArray>").unwrap();
-    };
-    let mut text = format!(
-        "<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\"><UnstructuredGrid>\
-         <Piece NumberOfPoints=\"{}\" NumberOfCells=\"{}\"><Points>",
-        used.len(),
-        elements.len(),
-    );
-    array(&mut text, "type=\"Float64\" NumberOfComponents=\"3\"", points);
-    text += "</Points><Cells>";
-    array(&mut text, "type=\"Int64\" Name=\"connectivity\"", corners);
-    array(&mut text, "type=\"Int64\" Name=\"offsets\"", offsets);
-    array(&mut text, "type=\"UInt8\" Name=\"types\"", vec![10.0; elements.len()]);
-    fs::write(path, text + "</Cells></Piece></UnstructuredGrid></VTKFile>").unwrap();
 }
 
 /// Displacements that take every node to where `x` says.
