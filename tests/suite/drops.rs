@@ -7,6 +7,7 @@ use std::path::Path;
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::TetMesh;
+use cutwater::output::write_mesh;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
@@ -16,7 +17,6 @@ use rayon::prelude::*;
 
 use crate::common::Random;
 use crate::solid_scene::block;
-use crate::tet_files::write_tets;
 
 /// End of a drop, s.
 const END: f64 = 0.5;
@@ -37,7 +37,13 @@ fn carve(path: &Path, stay: impl Fn(DVec3) -> bool) {
         ((middle / 0.05).floor() + 0.5) * 0.05
     };
     let left: Vec<[u32; 4]> = elements.into_iter().filter(|corners| stay(brick(corners))).collect();
-    write_tets(path, &nodes, &left);
+    let mut used = left.as_flattened().to_vec();
+    used.sort_unstable();
+    used.dedup();
+    let local = |node: u32| used.partition_point(|other| *other < node) as u32;
+    let elements = left.iter().map(|corners| corners.map(local)).collect();
+    let nodes = used.iter().map(|&node| nodes[node as usize]).collect();
+    write_mesh(path, &TetMesh { nodes, elements }).unwrap();
 }
 
 /// A drop.

@@ -6,6 +6,7 @@ use cutwater::elastic::Solids;
 use cutwater::geometry::{TetMesh, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{PUSHING, complementarity};
+use cutwater::output::write_mesh;
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{Obstacle, Placement, Scene, Shape, Solid, SolidMesh};
 use cutwater::sim::{Backend, Simulation, reference_path};
@@ -15,7 +16,6 @@ use glam::{DMat3, DVec3};
 use crate::common::{Random, gpu, project_scene};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of, solids_of};
-use crate::tet_files::write_tets;
 
 const GRAVITY: f64 = 9.81;
 
@@ -146,7 +146,7 @@ fn a_piece_of_a_body_slides_or_sticks_on_another() {
         let shifted = plate.elements.iter().map(|corners| corners.map(|node| node + n as u32));
         let elements: Vec<[u32; 4]> = block.elements.into_iter().chain(shifted).collect();
         let path = folder.path().join(format!("pieces_{friction}.vtu"));
-        write_tets(&path, &nodes, &elements);
+        write_mesh(&path, &TetMesh { nodes, elements }).unwrap();
         scene.solids.truncate(1);
         let body = &mut scene.solids[0];
         body.mesh = SolidMesh::File { file: path.into(), unit: 1.0 };

@@ -175,20 +175,6 @@ fn binary_msh(big_endian: bool, wide: bool) -> Vec<u8> {
     .concat()
 }
 
-/// Writes tetrahedra, and their nodes alone (m), as a .vtu file.
-pub(crate) fn write_tets(path: &Path, nodes: &[DVec3], elements: &[[u32; 4]]) {
-    let mut used = elements.as_flattened().to_vec();
-    used.sort_unstable();
-    used.dedup();
-    let points: Vec<[f64; 3]> = used.iter().map(|&node| nodes[node as usize].to_array()).collect();
-    let text = |numbers: Vec<usize>| numbers.iter().map(usize::to_string).collect::<Vec<_>>().join(" ");
-    let local = |node: &u32| used.partition_point(|other| other < node);
-    let corners = text(elements.as_flattened().iter().map(local).collect());
-    let offsets = text((1..=elements.len()).map(|n| 4 * n).collect());
-    let types = text(vec![10; elements.len()]);
-    fs::write(path, vtu(&points, [&corners, &offsets, &types])).unwrap();
-}
-
 /// A text file of VTK; `values` are those of connectivity, offsets and types.
 fn vtu(points: &[[f64; 3]], values: [&str; 3]) -> String {
     let n_cells = values[2].split_whitespace().count();
