@@ -149,6 +149,7 @@ effects! {
     solid_contact: |scene, effects| effects.solids && scene.solver.solid_contact,
         |scene, effects| match (effects.solids, scene.solver.solid_contact) {
             (false, _) => "there are no solids",
+            (_, false) if scene.solids.len() == 1 => "there is one solid, without friction and self_contact",
             (_, false) => "solver.solid_contact = false",
             (_, true) => "solver.solid_contact = true",
         }

@@ -21,7 +21,7 @@ pub use eigenvalues::{Solve, eigenvalues, inverse_one_norm, largest_magnitude, s
 pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 pub use minimal_residual::minimal_residual;
-pub use unilateral::{Friction, HeldRows, Row, RowSearch, UnilateralRows};
+pub use unilateral::{ForceSearch, Friction, HeldRows, Row, RowSearch, UnilateralRows};
 
 /// Euclidean norm, summed in order, independent of the number of threads.
 pub fn norm(x: &[f64]) -> f64 {

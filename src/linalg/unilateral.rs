@@ -17,25 +17,38 @@
 use rayon::prelude::*;
 
 use super::complementarity::{Complementarity, DenseCholesky, PUSHING, Place, complementarity, relax};
+use super::dot;
 
 /// Relative increase of the diagonal of W: redundant rows share their force.
 const COMPLIANCE: f64 = 1e-11;
 /// Violation of a row, and pull in terms of the velocity that it alone causes, relative to the largest velocity.
 const TOLERANCE: f64 = 1e-6;
 /// Solutions without fewer wrong rows that end a search.
-const PATIENCE: u32 = 4;
+const PATIENCE: u32 = 8;
 /// Part of the diagonal of W that a row must keep beside others to be independent of them.
 const INDEPENDENT: f64 = 1e-8;
-/// Least response of the velocities that a search assumes.
+/// Least and largest response of the velocities to a force that a search believes, over that without the dependence.
 const LEAST_RESPONSE: f64 = 1e-3;
+const MOST_RESPONSE: f64 = 1.01;
 /// Largest number of passes with the friction of the pass before.
 const MOST_PASSES: u32 = 20;
+/// Relative increases of the diagonal with which pivoting is tried: with redundant rows it may not end.
+const GROWTHS: [f64; 3] = [0.0, 1e-8, 1e-6];
 /// Sweeps of the relaxation that replaces a pivoting that does not end.
 const SWEEPS: u32 = 200;
 /// Change of the bounds of friction in a pass, relative to the largest, that ends the passes.
 const SAME_BOUNDS: f64 = 1e-8;
 /// The same from a solve of a search to the next, relative to the bound itself.
 const LAG: f64 = 5e-3;
+/// Solves with the factor of W_FF: its rounding and the increase of its diagonal are multiplied by its condition number, up to 1e8.
+const REFINEMENTS: usize = 3;
+/// Solves for the forces of held rows, at most, less one.
+const MOST_FORCES: usize = 40;
+/// Solves without gain that end the search for forces: the rest is rounding. A gain is a violation smaller by this factor.
+const FORCE_PATIENCE: u32 = 3;
+const GAIN: f64 = 0.9;
+/// Part of a change between two solves that must be new to improve the next.
+const NEW: f64 = 1e-8;
 
 /// A row: sum of the entries times v >= least.
 #[derive(Clone, Debug, PartialEq)]
@@ -157,13 +170,34 @@ impl UnilateralRows {
 
     /// lambda for the velocities without it.
     pub fn solve(&self, v: &[f64]) -> Complementarity {
-        self.solve_rubbing(1.0, &self.slacks(v))
+        let slacks = self.slacks(v);
+        let found = self.solve_rubbing(&self.matrix, &slacks);
+        match found.wrong {
+            0 => found,
+            _ => self.relaxed(&slacks, found),
+        }
     }
 
-    /// lambda of the matrix theta W for slacks without lambda.
-    fn solve_rubbing(&self, theta: f64, slacks: &[f64]) -> Complementarity {
+    /// lambda of a matrix in place of W, for slacks without lambda.
+    fn solve_rubbing(&self, matrix: &[f64], slacks: &[f64]) -> Complementarity {
         let n = self.n();
-        let matrix = |i: usize, j: usize| theta * self.matrix[n * i + j];
+        let mut pivots = 0;
+        let mut tried = GROWTHS.into_iter().map(|growth| {
+            let grown = |i: usize, j: usize| matrix[n * i + j] * if i == j { 1.0 + growth } else { 1.0 };
+            let found = self.pivot_rubbing(grown, slacks);
+            pivots += found.pivots;
+            Complementarity { pivots, ..found }
+        });
+        let first = tried.next().expect("the matrix itself");
+        match first.wrong {
+            0 => first,
+            _ => tried.find(|found| found.wrong == 0).unwrap_or(first),
+        }
+    }
+
+    /// lambda by pivoting.
+    fn pivot_rubbing(&self, matrix: impl Fn(usize, usize) -> f64 + Copy, slacks: &[f64]) -> Complementarity {
+        let n = self.n();
         let mut bounds = vec![PUSHING; n];
         bounds[self.n_normal()..].fill([0.0; 2]);
         let mut found = complementarity(matrix, slacks, &bounds, None);
@@ -184,18 +218,21 @@ impl UnilateralRows {
             found = Complementarity { pivots: found.pivots + next.pivots, ..next };
             before = most;
         }
-        if found.wrong > 0 {
-            // Dependent rows in a wrong set may have any force. A relaxation from 0 lowers the energy in each sweep.
-            found.z.fill(0.0);
-            for _ in 0..SWEEPS {
-                let most = self.friction_bounds(&found.z, |_| false);
-                for (tangent, _) in self.tangential() {
-                    bounds[tangent] = [-most[tangent], most[tangent]];
-                }
-                found.places = relax(&matrix, slacks, &bounds, &mut found.z);
-            }
-        }
         found
+    }
+
+    /// lambda by a relaxation from 0, which lowers the energy in each sweep: after a pivoting that did not end, dependent rows may have any force.
+    fn relaxed(&self, slacks: &[f64], pivoted: Complementarity) -> Complementarity {
+        let n = self.n();
+        let (mut z, mut places, mut bounds) = (vec![0.0; n], Vec::new(), vec![PUSHING; n]);
+        for _ in 0..SWEEPS {
+            let most = self.friction_bounds(&z, |_| false);
+            for (tangent, _) in self.tangential() {
+                bounds[tangent] = [-most[tangent], most[tangent]];
+            }
+            places = relax(&|i, j| self.matrix[n * i + j], slacks, &bounds, &mut z);
+        }
+        Complementarity { z, places, ..pivoted }
     }
 
     /// Bounds of the tangential forces for forces of a pass; 0 for rows that are not tangential. `slips`: whether the force of a tangent is at
@@ -215,8 +252,7 @@ impl UnilateralRows {
 
     /// W lambda.
     fn products(&self, lambda: &[f64]) -> Vec<f64> {
-        let rows = self.matrix.chunks_exact(self.n().max(1));
-        rows.map(|row| row.iter().zip(lambda).map(|(w, l)| w * l).sum()).collect()
+        products(&self.matrix, lambda)
     }
 
     /// Independent rows among those with a force between its bounds: those that cause the largest velocities first.
@@ -248,12 +284,17 @@ impl UnilateralRows {
     /// G^T lambda.
     pub fn forces(&self, lambda: &[f64]) -> Vec<f64> {
         let mut forces = vec![0.0; self.size];
+        self.add_forces(lambda, &mut forces);
+        forces
+    }
+
+    /// Adds G^T lambda.
+    fn add_forces(&self, lambda: &[f64], forces: &mut [f64]) {
         for (row, lambda) in self.rows.iter().zip(lambda) {
             for &(at, n) in &row.entries {
                 forces[at] += lambda * n;
             }
         }
-        forces
     }
 
     /// The rows as equations where `held`; `None` where they are dependent to rounding.
@@ -288,15 +329,36 @@ impl HeldRows<'_> {
 
     /// lambda that meets the rows, for the velocities without it.
     pub fn meeting(&self, v: &[f64]) -> Vec<f64> {
-        let rows = self.rows.iter();
-        self.lambda(rows.map(|&row| -self.system.rows[row].slack(v)).collect())
+        self.refined(
+            v,
+            |v| self.rows.iter().map(|&row| -self.system.rows[row].slack(v)).collect(),
+            |lambda, v| {
+                self.add_velocity(lambda, v);
+            },
+        )
     }
 
     /// lambda that cancels what forces change in the rows: -W_FF^-1 X_F^T f.
     pub fn cancelling(&self, forces: &[f64]) -> Vec<f64> {
-        let dot = |column: &Vec<f64>| column.iter().zip(forces).map(|(x, f)| x * f).sum::<f64>();
-        let rows = self.rows.iter();
-        self.lambda(rows.map(|&row| -dot(&self.system.columns[row])).collect())
+        self.refined(
+            forces,
+            |f| self.rows.iter().map(|&row| -dot(&self.system.columns[row], f)).collect(),
+            |lambda, f| {
+                self.system.add_forces(lambda, f);
+            },
+        )
+    }
+
+    /// Iterative refinement of lambda, since rows of a stiff solid are nearly dependent. `changes`: change of G_F v that lambda must cause, for x;
+    /// `add`: adds the effect of lambda to x.
+    fn refined(&self, x: &[f64], changes: impl Fn(&[f64]) -> Vec<f64>, add: impl Fn(&[f64], &mut [f64])) -> Vec<f64> {
+        let (mut sum, mut x) = (vec![0.0; self.system.n()], x.to_vec());
+        for _ in 0..REFINEMENTS {
+            let lambda = self.lambda(changes(&x));
+            add(&lambda, &mut x);
+            sum.iter_mut().zip(&lambda).for_each(|(sum, lambda)| *sum += lambda);
+        }
+        sum
     }
 
     /// Adds X lambda.
@@ -327,10 +389,109 @@ impl HeldRows<'_> {
     }
 }
 
+/// The search for the forces of held rows where f depends on v and only solves tell how.
+///
+/// The next forces are those of the least residual among the combinations of all before, and what meets the rest without the dependence. That is
+/// GMRES preconditioned with W_FF, in the norm of W, as Anderson mixing: H. F. Walker, P. Ni, SIAM Journal on Numerical Analysis 49, 2011.
+#[derive(Debug)]
+pub struct ForceSearch<'a> {
+    rows: HeldRows<'a>,
+    lambda: Vec<f64>,
+    /// lambda of the last solve, and the lambda that it lacked without the dependence.
+    last: Option<[Vec<f64>; 2]>,
+    /// Differences of these between solves, the second orthonormal.
+    differences: Vec<[Vec<f64>; 2]>,
+    /// Least violation of a row so far, m/s.
+    least: f64,
+    patience: u32,
+}
+
+impl<'a> ForceSearch<'a> {
+    /// Begins with the forces that meet the rows without the dependence, for the velocities without lambda.
+    pub fn new(rows: HeldRows<'a>, v: &[f64]) -> ForceSearch<'a> {
+        ForceSearch {
+            lambda: rows.meeting(v),
+            rows,
+            last: None,
+            differences: Vec::new(),
+            least: f64::INFINITY,
+            patience: FORCE_PATIENCE,
+        }
+    }
+
+    /// lambda of all rows for the next solve, or of the last one.
+    pub fn lambda(&self) -> &[f64] {
+        &self.lambda
+    }
+
+    /// G^T lambda.
+    pub fn forces(&self) -> Vec<f64> {
+        self.rows.forces(&self.lambda)
+    }
+
+    /// Changes the forces after a solve to a relative `tolerance`; `false` where its velocities meet the rows, or the search ends without.
+    pub fn advance(&mut self, v: &[f64], tolerance: f64) -> bool {
+        let violation = self.violation(v);
+        match violation < GAIN * self.least {
+            true => self.patience = FORCE_PATIENCE,
+            false => self.patience = self.patience.saturating_sub(1),
+        }
+        self.least = self.least.min(violation);
+        // As many solves as rows know all of the dependence.
+        let known = self.differences.len() > self.rows.rows.len().min(MOST_FORCES);
+        let met = violation <= f64::max(TOLERANCE, tolerance) * largest(v);
+        if met || known || self.patience == 0 {
+            return false;
+        }
+        let system = self.rows.system;
+        let lacking = self.rows.meeting(v);
+        let add = |to: &mut [f64], factor: f64, x: &[f64]| to.iter_mut().zip(x).for_each(|(to, x)| *to += factor * x);
+        if let Some(last) = &self.last {
+            let mut new = [self.lambda.clone(), lacking.clone()];
+            new.iter_mut().zip(last).for_each(|(new, last)| add(new, -1.0, last));
+            let norm = |lacking: &[f64]| dot(lacking, &system.products(lacking)).sqrt();
+            let before = norm(&new[1]);
+            for old in &self.differences {
+                let part = dot(&old[1], &system.products(&new[1]));
+                new.iter_mut().zip(old).for_each(|(new, old)| add(new, -part, old));
+            }
+            let after = norm(&new[1]);
+            if !(after > NEW * before) {
+                return false;
+            }
+            new.iter_mut().flatten().for_each(|value| *value /= after);
+            self.differences.push(new);
+        }
+        self.last = Some([self.lambda.clone(), lacking.clone()]);
+        let mut rest = lacking;
+        for [forces, lack] in &self.differences {
+            let part = dot(lack, &system.products(&rest));
+            add(&mut rest, -part, lack);
+            add(&mut self.lambda, -part, forces);
+        }
+        add(&mut self.lambda, 1.0, &rest);
+        true
+    }
+
+    /// Rows that velocities do not meet.
+    pub fn violated(&self, v: &[f64], tolerance: f64) -> usize {
+        let most = f64::max(TOLERANCE, tolerance) * largest(v);
+        self.violations(v).filter(|violation| !(*violation <= most)).count()
+    }
+
+    fn violations(&self, v: &[f64]) -> impl Iterator<Item = f64> {
+        self.rows.rows.iter().map(|&row| self.rows.system.rows[row].slack(v).abs())
+    }
+
+    fn violation(&self, v: &[f64]) -> f64 {
+        self.violations(v).fold(0.0, f64::max)
+    }
+}
+
 /// The search for the rows to hold where f depends on v. It alternates with solves that hold rows as equations.
 ///
-/// The rows to hold next are those that push in the complementarity problem of theta W at the last solution: theta is the response of v to lambda
-/// over that without the dependence, from the last solution and that without lambda. So dependent rows are not held together.
+/// The rows to hold next push in the complementarity problem of the response of v to lambda, which the search learns from its solutions. So dependent
+/// rows are not held together.
 ///
 /// Tangential rows that stick are held too. Those that slip have the force of their bound.
 #[derive(Clone, Debug)]
@@ -338,8 +499,10 @@ pub struct RowSearch {
     held: Vec<bool>,
     /// lambda of the rows that slip, 0 of others; empty where none slips.
     slipping: Vec<f64>,
-    /// G v - r without lambda.
-    free: Vec<f64>,
+    /// lambda and G v - r of the last solution, at first that without lambda.
+    last: [Vec<f64>; 2],
+    /// The matrix in place of W: change of G v by lambda, learned from the solutions; empty before the first with lambda.
+    response: Vec<f64>,
     fewest: usize,
     patience: u32,
 }
@@ -351,7 +514,8 @@ impl RowSearch {
         RowSearch {
             held: system.basis(&first),
             slipping: slipping(&first),
-            free: system.slacks(v),
+            last: [vec![0.0; system.n()], system.slacks(v)],
+            response: Vec::new(),
             fewest: usize::MAX,
             patience: PATIENCE,
         }
@@ -368,14 +532,14 @@ impl RowSearch {
     }
 
     /// Changes the rows to hold after a solution with forces `lambda` of the held rows, and returns how many were wrong, and whether another solve
-    /// is worth it. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After four solutions without fewer wrong
+    /// is worth it. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After eight solutions without fewer wrong
     /// rows the search ends.
     pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64]) -> (usize, bool) {
         let n = system.n();
         let mut lambda = lambda.to_vec();
         lambda.iter_mut().zip(&self.slipping).for_each(|(lambda, slipping)| *lambda += slipping);
         let lambda = &lambda[..];
-        let tolerance = TOLERANCE * v.iter().fold(0.0, |most, v| f64::max(most, v.abs()));
+        let tolerance = TOLERANCE * largest(v);
         let slacks = system.slacks(v);
         let pulls = |i: usize| lambda[i] * system.matrix[n * i + i] < -tolerance;
         let n_normal = system.n_normal();
@@ -398,7 +562,8 @@ impl RowSearch {
                 false => slips_on && (velocity(beyond).abs() > allowed || lambda[i] * slacks[i] > 0.0),
             }
         };
-        let wrong = (0..n_normal).filter(wrong).count() + (n_normal..n).filter(rubs_wrong).count();
+        let [normal, rubbing] = [(0..n_normal).filter(wrong).count(), (n_normal..n).filter(rubs_wrong).count()];
+        let wrong = normal + rubbing;
         if wrong == 0 {
             return (0, false);
         }
@@ -407,18 +572,54 @@ impl RowSearch {
         } else {
             self.patience -= 1;
         }
-        let dry = system.products(lambda);
-        let changes = slacks.iter().zip(&self.free).map(|(now, free)| now - free);
-        let work: f64 = lambda.iter().zip(changes).map(|(l, change)| l * change).sum();
-        let all: f64 = lambda.iter().zip(&dry).map(|(l, w)| l * w).sum();
-        let theta = (work / all).clamp(LEAST_RESPONSE, 1.0);
-        let q = slacks.iter().zip(&dry).map(|(slack, w)| slack - theta * w);
-        let q: Vec<f64> = q.collect();
-        let found = system.solve_rubbing(theta, &q);
+        self.learn(system, lambda, &slacks);
+        let known = products(&self.response, lambda);
+        let q: Vec<f64> = slacks.iter().zip(known).map(|(slack, known)| slack - known).collect();
+        let found = system.solve_rubbing(&self.response, &q);
+        // Where rows are dependent, other forces within their bounds may have the same effect.
+        let others: Vec<f64> = found.z.iter().zip(lambda).map(|(z, lambda)| z - lambda).collect();
+        let effect = system.products(&others).into_iter().map(f64::abs).fold(0.0, f64::max);
+        let lag = match normal {
+            0 => (n_normal..n).map(|i| LAG * most[i] * system.matrix[n * i + i]).fold(0.0, f64::max),
+            _ => 0.0,
+        };
+        let violated = (0..n_normal).any(|i| !self.held[i] && slacks[i] < -tolerance);
+        if found.wrong == 0 && !violated && effect <= f64::max(tolerance, lag) {
+            return (0, false);
+        }
+        if found.wrong > 0 {
+            return (wrong, false);
+        }
         let next = (system.basis(&found), slipping(&found));
         let changed = next.0 != self.held || next.1 != self.slipping;
         (self.held, self.slipping) = next;
         (wrong, changed && self.patience > 0)
+    }
+
+    /// Learns from a solution how v responds to lambda: the update of Broyden, Fletcher, Goldfarb and Shanno, begun with a multiple of W.
+    fn learn(&mut self, system: &UnilateralRows, lambda: &[f64], slacks: &[f64]) {
+        let difference = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
+        let change = difference(lambda, &self.last[0]);
+        let response = difference(slacks, &self.last[1]);
+        self.last = [lambda.to_vec(), slacks.to_vec()];
+        let work = dot(&change, &response);
+        let alone = dot(&change, &system.products(&change));
+        if self.response.is_empty() {
+            let theta = if alone > 0.0 { (work / alone).clamp(LEAST_RESPONSE, 1.0) } else { 1.0 };
+            self.response = system.matrix.iter().map(|w| theta * w).collect();
+        }
+        let known = products(&self.response, &change);
+        let all = dot(&change, &known);
+        // Else the change is one of redundant rows, and its effect rounding.
+        let sound = all > 0.0 && work > LEAST_RESPONSE * all && work <= MOST_RESPONSE * alone;
+        if !sound {
+            return;
+        }
+        for (i, row) in self.response.chunks_exact_mut(change.len()).enumerate() {
+            for (j, entry) in row.iter_mut().enumerate() {
+                *entry += response[i] * response[j] / work - known[i] * known[j] / all;
+            }
+        }
     }
 
     /// Held rows without force in the lambda >= 0 of the held rows whose velocities are nearest to those of `lambda`; none where they are the same
@@ -441,6 +642,16 @@ impl RowSearch {
             false => vec![false; n],
         }
     }
+}
+
+/// The largest magnitude.
+fn largest(v: &[f64]) -> f64 {
+    v.iter().fold(0.0, |most, v| f64::max(most, v.abs()))
+}
+
+/// A square matrix times a vector.
+fn products(matrix: &[f64], x: &[f64]) -> Vec<f64> {
+    matrix.chunks_exact(x.len().max(1)).map(|row| dot(row, x)).collect()
 }
 
 /// Forces of the rows at bounds other than 0; empty where there are none.

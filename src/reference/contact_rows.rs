@@ -54,7 +54,7 @@ const GROWTH: f64 = 2.0;
 /// Largest number of halvings of the next sub-step.
 const MOST_HALVINGS: u32 = 10;
 /// Largest number of coupled solves of a sub-step with the same rows.
-pub const MOST_COUPLED: u32 = 12;
+pub const MOST_COUPLED: u32 = 20;
 
 /// The bodies and surfaces that may touch in a sub-step.
 #[derive(Clone, Copy, Debug)]

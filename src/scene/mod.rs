@@ -901,7 +901,8 @@ pub struct Solver {
     pub pressure_on_patches: PatchPressure,
     /// Unknowns of a coupled solve on a GPU; default `auto`.
     pub formulation: Formulation,
-    /// Contact of solids with each other; default on with friction, else off.
+    /// Contact of solids with each other; by default on where at least two may touch, except with weak couplings and f32, and with friction or
+    /// `self_contact`.
     pub solid_contact: bool,
 }
 

@@ -149,8 +149,7 @@ impl Scene {
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
         let meshes = contents(&meshes)?;
-        let itself = solids.iter().any(|solid| solid.self_contact);
-        let touches = itself || has_friction(&domain, &obstacles, &solids);
+        let touching = Touching::of(&domain, &obstacles, &solids);
         let mut scene = Scene {
             name: scene_name(path)?,
             file: path.to_owned(),
@@ -161,7 +160,7 @@ impl Scene {
             removed: document.removed().to_vec(),
             scale,
             overrides: overrides.to_vec(),
-            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty(), touches)?,
+            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface), !solids.is_empty(), touching)?,
             obstacles,
             sources: sources(&root, path, &domain, liquid.as_ref())?,
             sinks: sinks(&root, path, &domain, liquid.as_ref())?,
@@ -768,16 +767,40 @@ const LEVEL_THETA_FLOOR: f64 = 1e-4;
 /// The thesis's clamp, for its face areas.
 const NODAL_AREA_CLAMP: f64 = 1e-2;
 
-/// `surface` is that of the liquid; `None` without liquid. `touches`: whether anything has friction, or a solid
-/// touches itself.
-fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, touches: bool) -> Result<Solver, Error> {
+/// Why solids touch each other or themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Touching {
+    /// Friction, or a solid that touches itself: nothing works without contact.
+    Required,
+    /// At least two solids may touch each other.
+    Possible,
+    /// No pair of solids may touch.
+    No,
+}
+
+impl Touching {
+    fn of(domain: &Domain, obstacles: &[Obstacle], solids: &[Solid]) -> Touching {
+        let itself = solids.iter().any(|solid| solid.self_contact);
+        let excludes = |a: usize, b: usize| solids[a].no_contact_with.contains(&b);
+        let touch = |a: usize, b: usize| solids[a].contact && solids[b].contact && !excludes(a, b) && !excludes(b, a);
+        match solids.len() {
+            0 => Touching::No,
+            _ if itself || has_friction(domain, obstacles, solids) => Touching::Required,
+            n if (0..n).any(|a| (0..a).any(|b| touch(a, b))) => Touching::Possible,
+            _ => Touching::No,
+        }
+    }
+}
+
+/// `surface` is that of the liquid; `None` without liquid.
+fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, touching: Touching) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
             Some(Surface::Markers) => ThetaFloor::from(MARKER_THETA_FLOOR),
             Some(Surface::Level) => ThetaFloor { whole: LEVEL_THETA_FLOOR, closing: MARKER_THETA_FLOOR },
             Some(Surface::Fixed) | None => Solver::default().theta_floor,
         },
-        solid_contact: touches && has_solids,
+        solid_contact: touching != Touching::No,
         ..Solver::default()
     };
     let Some(place) = root.get("solver") else {
@@ -812,11 +835,14 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, touches: boo
         Ok(ThetaFloor::from(floor))
     })?;
     coupled_solver(&table, surface.is_some() && has_solids, &mut solver)?;
-    solver.solid_contact = table.optional("solid_contact", solver.solid_contact, |place| {
+    // Off by default where it would be refused: weak couplings, and f32 on the GPU.
+    let supported = solver.coupling == CouplingScheme::Strong && solver.precision != Precision::F32;
+    let by_default = touching == Touching::Required || touching == Touching::Possible && supported;
+    solver.solid_contact = table.optional("solid_contact", by_default, |place| {
         let contact = place.boolean()?;
         place.ensure(!contact || has_solids, "needs elastic solids", "remove it")?;
         place.ensure(
-            contact || !touches || !has_solids,
+            contact || touching != Touching::Required,
             "is off, and friction or self_contact needs it",
             "remove it: they turn it on; or remove each `friction` above 0 and each `self_contact`",
         )?;

@@ -145,7 +145,7 @@ impl GpuSolids {
     /// Allocates and compiles. Obstacles and state must be written afterwards.
     pub(super) fn new(gpu: &Gpu, scene: &Scene, solids: Solids) -> Result<GpuSolids, Error> {
         let plan = solid_plan(scene, &solids, gpu.has_f64());
-        check_contact(&solids, scene.liquid.is_some(), &scene.solver, gpu.has_f64())?;
+        check_contact(&scene.solver)?;
         let rows = SolidRows::new(&solids)?;
         let buffers = SolidBuffers::new(gpu, plan, &solids)?;
         let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;

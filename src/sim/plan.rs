@@ -310,6 +310,10 @@ fn solves(scene: &Scene, (solids, first_dt): (&Solids, f64), rows: &SolidRows, f
         let together = match solver::can_condense(rows, solver, f64) {
             true => {
                 let (worth, most) = (solver::WORTH_WETTED / 3, solver::MOST_WETTED / 3);
+                let touching = match solver.solid_contact && solver.formulation == Formulation::Auto {
+                    true => format!(", {most} while contact pushes a solid"),
+                    false => String::new(),
+                };
                 let most = match solver.formulation {
                     Formulation::Condensed => most.to_string(),
                     Formulation::Auto | Formulation::TwoField => {
@@ -317,7 +321,7 @@ fn solves(scene: &Scene, (solids, first_dt): (&Solids, f64), rows: &SolidRows, f
                     }
                 };
                 format!(
-                    "condensed, conjugate gradients with {preconditioner} on B, where at most {most} nodes are wet, else {two_field}"
+                    "condensed, conjugate gradients with {preconditioner} on B, where at most {most} nodes are wet{touching}, else {two_field}"
                 )
             }
             false => two_field,

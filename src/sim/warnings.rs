@@ -100,6 +100,7 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
         let [low, high] = reach[a];
         low.cmplt(reach[b][1]).all()
             && reach[b][0].cmplt(high).all()
+            && solids.may_touch(a, b)
             && overlaps.iter().all(|overlap| overlap.solids != [a, b])
     };
     let n = reach.len();
@@ -112,7 +113,7 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
             n => format!(", {n} more pairs too"),
         };
         warnings.push(format!(
-            "solids \"{}\" and \"{}\" may meet{more}: solids pass through each other, since there is no contact between them without solver.solid_contact",
+            "solids \"{}\" and \"{}\" may meet{more}: they pass through each other, since solver.solid_contact is off. It needs coupling \"strong\" and a precision other than \"f32\"",
             name(a),
             name(b)
         ));

@@ -3,7 +3,8 @@
 //! The host has the rows, the factor of S and the small dense problem of [`UnilateralRows`], in f64; the device solves for the velocities with
 //! the contact forces in the right-hand side. Alone, solids take two solves: without rows, and with the forces that these call for. In liquid the
 //! Schur-complement form has the rows as equations ([`HeldSolve`]): the host downdates the wet compliance and computes the forces of the rows
-//! with each correction of the velocities.
+//! with each correction of the velocities. The two-field form, for more nodes or on request, is solved again until the forces meet the rows
+//! ([`ForceSearch`](crate::linalg::ForceSearch)).
 
 use std::sync::{Mutex, PoisonError};
 
@@ -11,54 +12,29 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::schur::Inverse;
-use super::stored_stiffness::{Factor, Stored, StoredStiffness};
+use super::stored_stiffness::{Factor, StoredStiffness};
 use crate::Error;
-use crate::elastic::Solids;
-use crate::fields::{SolidBuffers, SolidSystemBuffers, variant};
+use crate::fields::{SolidBuffers, SolidSystemBuffers};
 use crate::gpu::{Gpu, Readback, RealBuffer, Recorder};
 use crate::linalg::{HeldRows, Row, UnilateralRows};
-use crate::scene::{Formulation, Precision, Solver};
-
-use super::schur::{MOST_COMPONENTS, MOST_WETTED, refines};
+use crate::scene::{Precision, Solver};
 
 /// Makes the rows for velocities (m/s, three numbers per node) and rows so far; `None` where the velocities meet all rows.
 pub type RowsOf<'a> = &'a mut dyn FnMut(&[f64], &[Row]) -> Result<Option<Vec<Row>>, Error>;
 
-/// Refuses contact of solids that are too large for the host's factor, or a solve without f64.
+/// Refuses contact of solids in a solve without f64.
 ///
 /// # Errors
-/// [`Error::Input`] for a setting, [`Error::Limit`] with what the adapter or the solids lack.
-pub fn check_contact(solids: &Solids, wet: bool, solver: &Solver, f64: bool) -> Result<(), Error> {
-    if !solver.solid_contact {
+/// [`Error::Input`] for the precision.
+pub fn check_contact(solver: &Solver) -> Result<(), Error> {
+    if !solver.solid_contact || solver.precision != Precision::F32 {
         return Ok(());
     }
-    let limit = |needed: usize, available: usize, unit| {
-        Err(Error::Limit {
-            what: "contact of solids with each other".to_owned(),
-            needed: needed as u64,
-            available: available as u64,
-            unit,
-            cure: "use --backend cpu, or solid_contact = false".to_owned(),
-        })
-    };
-    let refuse = |setting: &str, other: &str| {
-        Err(Error::input(
-            "solver.solid_contact",
-            format!("contact of solids with each other does not work with {setting} on the GPU"),
-            format!("use {other}, --backend cpu, or solid_contact = false"),
-        ))
-    };
-    let mut surface = solids.triangles.as_flattened().to_vec();
-    surface.sort_unstable();
-    surface.dedup();
-    match (3 * solids.rest.len(), 3 * surface.len()) {
-        _ if solver.precision == Precision::F32 => refuse("precision = \"f32\"", "\"mixed\""),
-        _ if wet && solver.formulation == Formulation::TwoField => refuse("formulation = \"two_field\"", "\"auto\""),
-        _ if !refines(solver, variant(f64, solver.precision)) => limit(1, 0, "outer loop in f64"),
-        (n, _) if n > MOST_COMPONENTS => limit(n, MOST_COMPONENTS, "components of the nodes of solids"),
-        (_, n) if wet && n > MOST_WETTED => limit(n, MOST_WETTED, "components of the nodes on surfaces in liquid"),
-        _ => Ok(()),
-    }
+    Err(Error::input(
+        "solver.solid_contact",
+        "contact of solids with each other does not work with precision = \"f32\" on the GPU",
+        "use \"mixed\", --backend cpu, or solid_contact = false",
+    ))
 }
 
 /// Index of a component of a node in vectors with four numbers per node.
@@ -116,7 +92,7 @@ pub(super) fn three(four: &[f64]) -> Vec<f64> {
 #[derive(Debug)]
 pub(super) struct DrySystem {
     stiffness: StoredStiffness,
-    readbacks: Mutex<DryReadbacks>,
+    nodes: Mutex<NodeReadbacks>,
 }
 
 /// Rows so far, and the first solve without them: velocities, m/s, and right-hand side, N, four numbers per node.
@@ -127,26 +103,11 @@ pub(super) struct DryProgress {
     rhs: Vec<f64>,
 }
 
-#[derive(Debug)]
-struct DryReadbacks {
-    nodes: NodeReadbacks,
-    freedom: Readback<[f32; 4]>,
-    rotated: Readback<u32>,
-    masses: Readback<u32>,
-}
-
 impl DrySystem {
     pub(super) fn new(gpu: &Gpu, solids: &SolidSystemBuffers, fields: &SolidBuffers) -> Result<DrySystem, Error> {
-        let n = solids.sizes.n_nodes as usize;
-        let words = solids.variant.real.bytes() / 4;
         Ok(DrySystem {
-            stiffness: StoredStiffness::new(n, &solids.layout.elements),
-            readbacks: Mutex::new(DryReadbacks {
-                nodes: NodeReadbacks::new(gpu, solids, fields)?,
-                freedom: Readback::new(gpu, "contact.freedom", n)?,
-                rotated: Readback::new(gpu, "contact.rotated", fields.rotated.words.len())?,
-                masses: Readback::new(gpu, "contact.masses", words * n)?,
-            }),
+            stiffness: StoredStiffness::new(gpu, solids, fields)?,
+            nodes: Mutex::new(NodeReadbacks::new(gpu, solids, fields)?),
         })
     }
 
@@ -160,8 +121,7 @@ impl DrySystem {
         (progress, last): (&mut Option<DryProgress>, bool),
     ) -> Result<Option<[u32; 2]>, Error> {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = self.readbacks.lock().unwrap_or_else(PoisonError::into_inner);
-        let DryReadbacks { nodes, freedom, rotated, masses } = &mut *readbacks;
+        let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
         let [velocity, rhs] = nodes.read(gpu, solids, fields)?;
         let known = progress.as_ref().map_or(&[][..], |before| &before.rows);
         let rows = rows_of(&three(&velocity), known)?;
@@ -171,20 +131,10 @@ impl DrySystem {
         let DryProgress { velocity, mut rhs, .. } =
             progress.take().unwrap_or(DryProgress { rows: Vec::new(), velocity, rhs });
         *progress = Some(DryProgress { rows: rows.clone(), velocity: velocity.clone(), rhs: rhs.clone() });
-        let mut recorder = Recorder::new(gpu);
-        recorder.read(&fields.freedom, freedom);
-        recorder.read(&fields.rotated.words, rotated);
-        recorder.read_part(&solids.masses.words, 0, masses);
-        recorder.submit();
-        let stored = Stored {
-            freedom: freedom.wait(gpu)?,
-            rotated: fields.rotated.widen(&rotated.wait(gpu)?),
-            masses: solids.masses.widen(&masses.wait(gpu)?),
+        let Some(factor) = self.stiffness.read_and_factorise(gpu, solids, fields)? else {
+            return Ok(Some([0, rows.len() as u32]));
         };
-        let Some(factor) = self.stiffness.factorise(&stored)? else {
-            return Ok(None);
-        };
-        let rows = unilateral(rows, stored.freedom.len(), &factor);
+        let rows = unilateral(rows, factor.projectors().len(), &factor);
         let found = rows.solve(&velocity);
         let forces = rows.forces(&found.z);
         rhs.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);

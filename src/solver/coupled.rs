@@ -18,7 +18,7 @@ use std::sync::{Mutex, PoisonError};
 use crate::Error;
 use crate::fields::SolidBuffers;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Readback, Real, Recorder, StageTimes};
-use crate::linalg::RowSearch;
+use crate::linalg::{ForceSearch, RowSearch};
 use crate::scene::{Formulation, Solver};
 use crate::state::{ContactReport, SolveStatus};
 use crate::wgsl;
@@ -31,6 +31,7 @@ use super::pressure::Pressure;
 use super::refine::{Aim, Form, Outcome, OuterLoop, Pace, Shared, System};
 use super::schur::{self, Prepared, Schur, check_formulation};
 use super::solid_contacts::ContactSearch;
+use super::stored_stiffness::StoredStiffness;
 use super::two_field::Monolithic;
 
 /// Refinement steps in a submission.
@@ -185,6 +186,8 @@ struct Coupled {
     force: Bound,
     monolithic: Monolithic,
     schur: Option<Schur>,
+    /// For the Schur-complement form and for contact.
+    stiffness: Option<StoredStiffness>,
     /// Where solids touch each other.
     nodes: Option<Mutex<NodeReadbacks>>,
     /// For the right-hand side of the wet quads, where residuals are evaluated on the host.
@@ -278,9 +281,8 @@ impl CoupledSolver {
         let mut form = CorrectionForm { at, degree: polynomial.degree as usize, prepared: None };
         let (mut recorder, mut times) = (recorder, StageTimes::new());
         if let Some(schur) = &system.schur {
-            let (prepared, stages) = schur.prepare(gpu, recorder, at, polynomial, |pass| {
-                pass.dispatch(&system.args, 1);
-            })?;
+            let most = schur.worth_wetted(polynomial);
+            let (prepared, stages) = system.prepare(gpu, recorder, at, (schur, most))?;
             times = stages;
             recorder = Recorder::timed(gpu);
             form.prepared = Some((schur, prepared));
@@ -337,54 +339,104 @@ impl CoupledSolver {
         let again = first.is_some_and(|aim| aim.guess);
         let (mut outcome, mut times) = self.solve_form(gpu, recorder, form, (again, None), first)?;
         let later = first.map(|aim| Aim { guess: false, ..aim });
+        let tolerance = round.map_or(self.tolerance(), |(tolerance, _)| tolerance);
         let mut report = ContactReport { solves: 1, ..ContactReport::default() };
         let system = &self.outer.system;
-        let (Some(nodes), Some((schur, Prepared::Schur(inverse)))) = (&system.nodes, &form.prepared) else {
+        let Some((nodes, stiffness)) = system.nodes.as_ref().zip(system.stiffness.as_ref()) else {
             return Ok((outcome, report, times));
         };
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut nodes = nodes.lock().unwrap_or_else(PoisonError::into_inner);
         let [free, rhs] = nodes.read(gpu, at.solids, at.fields)?;
-        let start = contact_rows::prescribed(&inverse.factor, &free);
-        let (mut velocity, mut known) = (free.clone(), Vec::new());
-        for meeting in 0.. {
-            let rows = rows_of(&contact_rows::three(&velocity), &known)?;
-            let Some(rows) = rows.filter(|_| outcome.status.is_best_attainable()) else {
-                break;
-            };
-            if meeting > meetings {
-                break;
+        let Some(mut rows) = rows_of(&contact_rows::three(&free), &[])?.filter(|_| outcome.status.is_best_attainable())
+        else {
+            return Ok((outcome, report, times));
+        };
+        // With rows the Schur-complement form is worth more wet nodes: in the other one a set of rows takes several solves.
+        let with_room = match (&form.prepared, &system.schur) {
+            (Some((_, Prepared::Monolithic)), Some(schur)) => {
+                let all = (schur, schur.room());
+                let (prepared, mut stages) = system.prepare(gpu, Recorder::timed(gpu), at, all)?;
+                times.append(&mut stages);
+                Some(CorrectionForm { prepared: Some((schur, prepared)), ..*form })
             }
-            known.clone_from(&rows);
-            let rows = contact_rows::unilateral(rows, at.coupling.n_nodes, &inverse.factor);
-            let mut search = RowSearch::new(&rows, &free);
+            _ => None,
+        };
+        let form = with_room.as_ref().unwrap_or(form);
+        let schur = match &form.prepared {
+            Some((schur, Prepared::Schur(inverse))) => Some((*schur, inverse)),
+            _ => None,
+        };
+        let own = match schur {
+            Some(_) => None,
+            None => stiffness.read_and_factorise(gpu, at.solids, at.fields)?,
+        };
+        let Some(factor) = schur.map(|(_, inverse)| &inverse.factor).or(own.as_ref()) else {
+            outcome.status = SolveStatus::Breakdown;
+            report.unsettled = rows.len() as u32;
+            return Ok((outcome, report, times));
+        };
+        let start = contact_rows::prescribed(factor, &free);
+        let mut velocity = free.clone();
+        for meeting in 0.. {
+            let known = rows.clone();
+            let wanted = contact_rows::unilateral(rows, at.coupling.n_nodes, factor);
+            let mut search = RowSearch::new(&wanted, &free);
             for _ in 0..most {
-                let Some(held) = rows.hold(search.held()) else {
+                let Some(held) = wanted.hold(search.held()) else {
                     report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
                     break;
                 };
                 let mut pushed = rhs.clone();
-                if let Some(forces) = search.slipping_forces(&rows) {
+                if let Some(forces) = search.slipping_forces(&wanted) {
                     pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
                 }
-                let held = HeldSolve::new(gpu, held, &start, &pushed, &at.solids.rhs);
-                schur.hold(gpu, inverse, &held);
-                let recorder = Recorder::timed(gpu);
-                let (next, mut stages) = self.solve_form(gpu, recorder, form, (true, Some(&held)), later)?;
-                times.append(&mut stages);
-                outcome = CoupledOutcome { iterations: outcome.iterations + next.iterations, ..next };
-                report.solves += 1;
-                [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
-                let (wrong, exchanged) = search.exchange(&rows, &held.lambda(), &velocity);
-                report.unsettled = wrong as u32;
-                if !exchanged || !outcome.status.is_best_attainable() {
+                let mut solve = |held: Option<&HeldSolve>| {
+                    let (next, mut stages) = self.solve_form(gpu, Recorder::timed(gpu), form, (true, held), later)?;
+                    times.append(&mut stages);
+                    outcome = CoupledOutcome { iterations: outcome.iterations + next.iterations, ..next };
+                    report.solves += 1;
+                    let [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
+                    Ok::<_, Error>((velocity, outcome.status.is_best_attainable()))
+                };
+                let (lambda, solved, missed);
+                match schur {
+                    Some((schur, inverse)) => {
+                        let held = HeldSolve::new(gpu, held, &start, &pushed, &at.solids.rhs);
+                        schur.hold(gpu, inverse, &held);
+                        (velocity, solved) = solve(Some(&held))?;
+                        (lambda, missed) = (held.lambda(), 0);
+                    }
+                    None => {
+                        let mut forces = ForceSearch::new(held, &free);
+                        (velocity, solved) = loop {
+                            let sums = pushed.iter().zip(forces.forces());
+                            at.solids.rhs.upload(gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
+                            let (velocity, solved) = solve(None)?;
+                            if !solved || !forces.advance(&velocity, tolerance) {
+                                break (velocity, solved);
+                            }
+                        };
+                        (lambda, missed) = (forces.lambda().to_vec(), forces.violated(&velocity, tolerance));
+                    }
+                }
+                let (wrong, exchanged) = search.exchange(&wanted, &lambda, &velocity);
+                report.unsettled = (wrong + missed) as u32;
+                if !exchanged || !solved {
                     break;
                 }
             }
+            let next = rows_of(&contact_rows::three(&velocity), &known)?;
+            let Some(next) = next.filter(|_| outcome.status.is_best_attainable() && meeting < meetings) else {
+                break;
+            };
+            rows = next;
         }
-        if round.is_some() && report.solves > 1 {
+        if round.is_some() {
             // The next round begins without rows.
-            schur.release(gpu, inverse);
+            if let Some((schur, inverse)) = schur {
+                schur.release(gpu, inverse);
+            }
             at.solids.rhs.upload(gpu, &rhs);
         }
         Ok((outcome, report, times))
@@ -441,6 +493,18 @@ impl CoupledSolver {
 }
 
 impl Coupled {
+    /// Prepares the Schur-complement form for `most` wet nodes, after the recording.
+    fn prepare<'a>(
+        &'a self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        at: CoupledFields,
+        (schur, most): (&'a Schur, usize),
+    ) -> Result<(Prepared<'a>, StageTimes), Error> {
+        let stiffness = self.stiffness.as_ref().expect("made with the form");
+        schur.prepare(gpu, recorder, at, (stiffness, most), |pass| pass.dispatch(&self.args, 1))
+    }
+
     fn new(
         gpu: &Gpu,
         at: CoupledFields,
@@ -452,6 +516,10 @@ impl Coupled {
         let variant = liquid.variant;
         let sized = [("from_args", (&liquid.args).into())];
         let direction = [("p", (&liquid.search).into())];
+        let schur = match solver.formulation {
+            Formulation::TwoField => None,
+            Formulation::Auto | Formulation::Condensed => Schur::new(gpu, at, shared, solver)?,
+        };
         Ok(Coupled {
             pressure: Pressure::new(gpu, liquid, shared, at.velocity, at.open, solver)?,
             args: bind(gpu, &wgsl!("coupled_args"), variant, sized, &[coupling])?,
@@ -461,10 +529,10 @@ impl Coupled {
             weight: bind(gpu, &wgsl!("two_field_weight"), variant, [], &[coupling, shared])?,
             force: bind(gpu, &wgsl!("couple_force"), variant, direction, &at.by_node())?,
             monolithic: Monolithic::new(gpu, at, shared, polynomial, solver)?,
-            schur: match solver.formulation {
-                Formulation::TwoField => None,
-                Formulation::Auto | Formulation::Condensed => Schur::new(gpu, at, shared, solver)?,
-            },
+            stiffness: (schur.is_some() || solver.solid_contact)
+                .then(|| StoredStiffness::new(gpu, solids, fields))
+                .transpose()?,
+            schur,
             nodes: (solver.solid_contact).then(|| NodeReadbacks::new(gpu, solids, fields)).transpose()?.map(Mutex::new),
             base: (variant.real == Real::F32)
                 .then(|| Readback::new(gpu, "coupled_solver.base", coupling.base.words.len()))

@@ -22,7 +22,7 @@ use super::coupled::CoupledFields;
 use super::pcg::{Pcg, State, Unknowns};
 use super::pressure::FIRST_SWEEP;
 use super::refine::{Shared, on_host};
-use super::stored_stiffness::{Factor, Stored, StoredStiffness};
+use super::stored_stiffness::{Factor, StoredStiffness};
 use super::two_field::bind_sum;
 
 /// Wetted components, at most: a W of 81 MB, which the smallest bindings that adapters offer, 128 MiB, have room for.
@@ -31,7 +31,7 @@ pub const MOST_WETTED: usize = 4500;
 /// few tens of iterations. Where the polynomial of the solids falls short they take hundreds.
 pub const WORTH_WETTED: usize = 2000;
 /// Components of all solids, at most: a factor of as many takes some hundredths of a second.
-pub(super) const MOST_COMPONENTS: usize = 30_000;
+const MOST_COMPONENTS: usize = 30_000;
 /// Iterations recorded ahead of an exchange; a refinement step takes about as many.
 pub(super) const CHUNK: usize = 12;
 
@@ -54,9 +54,8 @@ pub struct Wetted {
 pub(super) struct Schur {
     /// Form that the scene requires.
     formulation: Formulation,
-    /// Whether solids touch each other, which needs this form.
+    /// Whether solids touch each other: the wet compliance is kept to downdate it.
     contact: bool,
-    stiffness: StoredStiffness,
     wet: Bound,
     wet_nodes: Buffer<u32>,
     begin: Bound,
@@ -75,17 +74,8 @@ pub(super) struct Schur {
     y: RealBuffer,
     /// J without nodes: sums over wet quads alone.
     quads_only: Buffer<Coupling>,
-    readbacks: Mutex<Readbacks>,
+    wet_readback: Mutex<Readback<u32>>,
     node_readback: Mutex<Readback<u32>>,
-}
-
-/// Read-backs for the factor.
-#[derive(Debug)]
-struct Readbacks {
-    wet: Readback<u32>,
-    freedom: Readback<[f32; 4]>,
-    rotated: Readback<u32>,
-    masses: Readback<u32>,
 }
 
 /// Form of the corrections of a solve.
@@ -166,7 +156,7 @@ pub fn can_condense(rows: &SolidRows, solver: &Solver, f64: bool) -> bool {
 }
 
 /// Whether the outer loop is in f64, on the device or on the host, as dv is.
-pub(super) fn refines(solver: &Solver, variant: Variant) -> bool {
+fn refines(solver: &Solver, variant: Variant) -> bool {
     variant.real == Real::F64 || on_host(solver, variant)
 }
 
@@ -208,7 +198,7 @@ impl Schur {
     pub(super) fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared, solver: &Solver) -> Result<Option<Schur>, Error> {
         let CoupledFields { liquid, solids, coupling, .. } = at;
         let rows = &solids.layout;
-        let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
+        let n = rows.rows.n_nodes as usize;
         let room = room(rows, solver, liquid.variant);
         if room == 0 {
             return Ok(None);
@@ -240,7 +230,6 @@ impl Schur {
         Ok(Some(Schur {
             formulation: solver.formulation,
             contact: solver.solid_contact,
-            stiffness: StoredStiffness::new(n, &rows.elements),
             wet: bind(gpu, &wgsl!("condensed_wet"), real, wet, &at.by_node())?,
             begin: bind(gpu, &wgsl!("condensed_begin"), variant, begin, &at.by_quad())?,
             inverse: [bind(gpu, &wgsl!("condensed_apply"), real, inverse, &[])?],
@@ -248,12 +237,7 @@ impl Schur {
             alpha: bind_sum(gpu, at, shared, &quads_only, &wgsl!("couple_alpha"))?,
             force: bind(gpu, &wgsl!("condensed_force"), variant, force, &at.by_node())?,
             pcg: Pcg::new(gpu, &unknowns, shared.level, shared.state)?,
-            readbacks: Mutex::new(Readbacks {
-                wet: Readback::new(gpu, "condensed.wet", n)?,
-                freedom: Readback::new(gpu, "condensed.freedom", n)?,
-                rotated: Readback::new(gpu, "condensed.rotated", 12 * words * m)?,
-                masses: Readback::new(gpu, "condensed.masses", words * n)?,
-            }),
+            wet_readback: Mutex::new(Readback::new(gpu, "condensed.wet", n)?),
             node_readback: Mutex::new(Readback::new(gpu, "condensed.nodes", 4 * words * n)?),
             wet_nodes,
             wetted,
@@ -290,55 +274,55 @@ impl Schur {
         (&self.inverse, &self.quads, &self.alpha)
     }
 
-    /// Wet nodes, at most: all that there is room for, or fewer where the two-field form, with this polynomial, is quick.
-    fn most_wetted(&self, polynomial: &Polynomial) -> usize {
+    /// Wet nodes, at most.
+    pub(super) fn room(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Wet nodes, at most, for a solve without contact: all that there is room for, or fewer where the two-field form, with this polynomial, is
+    /// quick.
+    pub(super) fn worth_wetted(&self, polynomial: &Polynomial) -> usize {
         let room = self.nodes.len();
         match self.formulation {
             Formulation::Condensed => room,
-            Formulation::Auto | Formulation::TwoField if self.contact || polynomial.falls_short() => room,
+            Formulation::Auto | Formulation::TwoField if polynomial.falls_short() => room,
             Formulation::Auto | Formulation::TwoField => room.min(WORTH_WETTED / 3),
         }
     }
 
-    /// Submits the recording, which ends with both systems and J in place, and computes the wet compliance where the form is this one.
+    /// Submits the recording, which ends with both systems and J in place, and computes the wet compliance where the form is this one. `most`: wet
+    /// nodes of this form.
     pub(super) fn prepare<'a>(
         &'a self,
         gpu: &Gpu,
         mut recorder: Recorder,
         at: CoupledFields,
-        polynomial: &Polynomial,
+        (stiffness, most): (&'a StoredStiffness, usize),
         record_args: impl FnOnce(&mut Pass),
     ) -> Result<(Prepared<'a>, StageTimes), Error> {
-        let (solids, coupling) = (at.solids, at.coupling);
+        let coupling = at.coupling;
         recorder.stage(Stage::Solve.name(), |pass| {
             record_args(pass);
             pass.dispatch(&self.wet, coupling.n_nodes);
         });
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = self.readbacks.lock().unwrap_or_else(PoisonError::into_inner);
-        let Readbacks { wet, freedom, rotated, masses } = &mut *readbacks;
-        recorder.read(&self.wet_nodes, wet);
-        recorder.read(&at.fields.freedom, freedom);
-        recorder.read(&at.fields.rotated.words, rotated);
-        recorder.read_part(&solids.masses.words, 0, masses);
+        let mut wet = self.wet_readback.lock().unwrap_or_else(PoisonError::into_inner);
+        recorder.read(&self.wet_nodes, &mut wet);
+        let mut readbacks = stiffness.readbacks();
+        readbacks.record(&mut recorder, at.solids, at.fields);
         let timing = recorder.submit();
         let wet = wet.wait(gpu)?;
-        let stored = Stored {
-            freedom: freedom.wait(gpu)?,
-            rotated: at.fields.rotated.widen(&rotated.wait(gpu)?),
-            masses: solids.masses.widen(&masses.wait(gpu)?),
-        };
+        let stored = readbacks.wait(gpu, at.solids, at.fields)?;
         let times = timing.wait()?;
         let nodes = (0..wet.len() as u32).filter(|&node| wet[node as usize] != 0);
         let nodes: Vec<u32> = nodes.collect();
-        if nodes.len() > self.most_wetted(polynomial) {
+        if nodes.len() > most {
             return Ok((Prepared::Monolithic, times));
         }
         let mass = f64::from(coupling.written.sizes.mass);
-        let Some(factor) = self.stiffness.factorise(&stored)? else {
+        let Some(factor) = stiffness.factorise(&stored)? else {
             let form = match self.formulation {
                 Formulation::Condensed => Prepared::Singular,
-                _ if self.contact => Prepared::Singular,
                 Formulation::Auto | Formulation::TwoField => Prepared::Monolithic,
             };
             return Ok((form, times));

@@ -3,13 +3,15 @@
 //! Constraints of walls, obstacles and pins are applied as on the device: P S P + mu (I - P), with the projector P of each node and the mean mu
 //! of its diagonal. This matrix is regular, and its inverse in the free directions is that of the free part.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::elastic::{Incidence, stiffness_block};
+use crate::fields::{SolidBuffers, SolidSystemBuffers};
+use crate::gpu::{Gpu, Readback, Recorder};
 use crate::linalg::{Cholesky, Csr, SymbolicCholesky};
 
 use super::solid_host::Free;
@@ -17,12 +19,52 @@ use super::solid_host::Free;
 /// Columns of an inverse that one task solves for: their order, and with it every bit, does not depend on the threads.
 const COLUMNS: usize = 48;
 
-/// Topology and symbolic factor.
+/// Topology, symbolic factor, and the arrays on their way to the host.
 #[derive(Debug)]
 pub(super) struct StoredStiffness {
     elements: Arc<Vec<[u32; 4]>>,
     incidence: Incidence,
     symbolic: OnceLock<SymbolicCholesky>,
+    readbacks: Mutex<StoredReadbacks>,
+}
+
+/// Transfers of [`Stored`].
+#[derive(Debug)]
+pub(super) struct StoredReadbacks {
+    freedom: Readback<[f32; 4]>,
+    rotated: Readback<u32>,
+    masses: Readback<u32>,
+}
+
+impl StoredReadbacks {
+    fn new(gpu: &Gpu, solids: &SolidSystemBuffers, fields: &SolidBuffers) -> Result<StoredReadbacks, Error> {
+        let n = solids.sizes.n_nodes as usize;
+        let words = solids.variant.real.bytes() / 4;
+        Ok(StoredReadbacks {
+            freedom: Readback::new(gpu, "stored_stiffness.freedom", n)?,
+            rotated: Readback::new(gpu, "stored_stiffness.rotated", fields.rotated.words.len())?,
+            masses: Readback::new(gpu, "stored_stiffness.masses", words * n)?,
+        })
+    }
+
+    pub(super) fn record(&mut self, to: &mut Recorder, solids: &SolidSystemBuffers, fields: &SolidBuffers) {
+        to.read(&fields.freedom, &mut self.freedom);
+        to.read(&fields.rotated.words, &mut self.rotated);
+        to.read_part(&solids.masses.words, 0, &mut self.masses);
+    }
+
+    pub(super) fn wait(
+        &mut self,
+        gpu: &Gpu,
+        solids: &SolidSystemBuffers,
+        fields: &SolidBuffers,
+    ) -> Result<Stored, Error> {
+        Ok(Stored {
+            freedom: self.freedom.wait(gpu)?,
+            rotated: fields.rotated.widen(&self.rotated.wait(gpu)?),
+            masses: solids.masses.widen(&self.masses.wait(gpu)?),
+        })
+    }
 }
 
 /// Arrays of a sub-step, read back; n nodes, m elements.
@@ -37,12 +79,36 @@ pub(super) struct Stored {
 }
 
 impl StoredStiffness {
-    pub(super) fn new(n_nodes: usize, elements: &Arc<Vec<[u32; 4]>>) -> StoredStiffness {
-        StoredStiffness {
-            incidence: Incidence::new(n_nodes, elements),
+    pub(super) fn new(gpu: &Gpu, solids: &SolidSystemBuffers, fields: &SolidBuffers) -> Result<StoredStiffness, Error> {
+        let elements = &solids.layout.elements;
+        Ok(StoredStiffness {
+            incidence: Incidence::new(solids.sizes.n_nodes as usize, elements),
             elements: elements.clone(),
             symbolic: OnceLock::new(),
-        }
+            readbacks: Mutex::new(StoredReadbacks::new(gpu, solids, fields)?),
+        })
+    }
+
+    /// The transfers. A panic in another solve leaves nothing half done in them: every use begins with new copies.
+    pub(super) fn readbacks(&self) -> MutexGuard<'_, StoredReadbacks> {
+        self.readbacks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads the arrays and factorises.
+    ///
+    /// # Errors
+    /// When the factor does not fit into memory, or the device is lost.
+    pub(super) fn read_and_factorise(
+        &self,
+        gpu: &Gpu,
+        solids: &SolidSystemBuffers,
+        fields: &SolidBuffers,
+    ) -> Result<Option<Factor<'_>>, Error> {
+        let mut readbacks = self.readbacks();
+        let mut recorder = Recorder::new(gpu);
+        readbacks.record(&mut recorder, solids, fields);
+        recorder.submit();
+        self.factorise(&readbacks.wait(gpu, solids, fields)?)
     }
 
     /// Assembles and factorises; `None` where the matrix is not positive definite in f64.

@@ -470,6 +470,7 @@ fn exported_systems_of_a_held_block_agree() {
 fn exported_systems_of_damping_alone_agree() {
     let mut scene = two_balls(0.25);
     scene.solver.coupling = CouplingScheme::DampingOnly;
+    scene.solver.solid_contact = false;
     scene.solver.tolerance = 1e-10;
     exported_systems_agree(&scene);
 }

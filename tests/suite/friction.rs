@@ -5,7 +5,7 @@ use std::path::Path;
 use cutwater::elastic::Solids;
 use cutwater::geometry::{TetMesh, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
-use cutwater::linalg::{PUSHING, complementarity};
+use cutwater::linalg::{DenseCholesky, ForceSearch, PUSHING, Row, RowSearch, UnilateralRows, complementarity};
 use cutwater::output::write_mesh;
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{Obstacle, Placement, Scene, Shape, Solid, SolidMesh};
@@ -446,6 +446,73 @@ fn the_scene_is_as_expected() {
     }
 }
 
+/// Random systems S v = f - K v + G^T lambda with rows of which some are redundant: the searches for the rows that push and for their forces know S
+/// alone, and end with the velocities of the complementarity problem of S + K.
+#[test]
+fn searches_learn_how_velocities_respond() {
+    const N: usize = 12;
+    let mut random = Random(7);
+    let (mut pushing, mut most_solves) = (0, 0);
+    for case in 0..200 {
+        let mut square = |size: f64| {
+            let a: Vec<f64> = (0..N * N).map(|_| random.uniform(-1.0, 1.0)).collect();
+            let entry = |i: usize, j: usize| size * (0..N).map(|k| a[N * i + k] * a[N * j + k]).sum::<f64>();
+            (0..N * N).map(|at| entry(at / N, at % N)).collect::<Vec<f64>>()
+        };
+        // K is up to 30 times as large as S.
+        let (s, k) = (square(1.0), square(10.0 * (case % 4) as f64));
+        let alone = DenseCholesky::new(N, |i, j| s[N * i + j] + if i == j { 0.3 } else { 0.0 }).unwrap();
+        let both = DenseCholesky::new(N, |i, j| s[N * i + j] + k[N * i + j] + if i == j { 0.3 } else { 0.0 }).unwrap();
+        let solve = |factor: &DenseCholesky, mut force: Vec<f64>| {
+            factor.solve(&mut force);
+            force
+        };
+        let mut rows: Vec<Row> = (0..6)
+            .map(|row| Row {
+                entries: (0..3).map(|i| ((2 * row + 3 * i) % N, random.uniform(-1.0, 1.0))).collect(),
+                least: random.uniform(-0.05, 0.05),
+                friction: None,
+            })
+            .collect();
+        rows.push(rows[0].clone());
+        let f: Vec<f64> = (0..N).map(|_| random.uniform(-1.0, 1.0)).collect();
+        let velocity = |force: &[f64]| solve(&both, f.iter().zip(force).map(|(f, force)| f + force).collect());
+        let system = UnilateralRows::new(rows.clone(), N, |force| solve(&alone, force));
+        let truth = UnilateralRows::new(rows, N, |force| solve(&both, force));
+        let free = velocity(&[0.0; N]);
+        let wanted = velocity(&truth.forces(&truth.solve(&free).z));
+        let mut search = RowSearch::new(&system, &free);
+        let mut sets = 0;
+        let found = loop {
+            sets += 1;
+            let mut forces = ForceSearch::new(system.hold(search.held()).unwrap(), &free);
+            let mut solves = 0;
+            let found = loop {
+                solves += 1;
+                let found = velocity(&forces.forces());
+                if !forces.advance(&found, 0.0) {
+                    break found;
+                }
+            };
+            assert_eq!(forces.violated(&found, 0.0), 0, "case {case}");
+            most_solves = most_solves.max(solves);
+            let (wrong, again) = search.exchange(&system, &forces.lambda().to_vec(), &found);
+            if !again {
+                assert_eq!(wrong, 0, "case {case} after {sets} sets");
+                break found;
+            }
+        };
+        let size = found.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+        let off = found.iter().zip(&wanted).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+        // Rows are met to 1e-6 of the largest velocity; forces that this changes cause some multiple of it.
+        assert!(off <= 1e-4 * size, "case {case}: {off} of {size}");
+        pushing += usize::from(search.held().iter().any(|held| *held));
+    }
+    println!("{pushing} cases with rows that push, at most {most_solves} solves for forces");
+    // Rows push in nearly all; GMRES knows all after as many solves as rows, and one more to begin and to see.
+    assert!(pushing > 150 && most_solves <= 9, "{pushing}, {most_solves}");
+}
+
 /// Random complementarity problems in a box: bounds, and signs of W z + q, to rounding.
 #[test]
 fn problems_in_a_box_are_solved() {
@@ -473,7 +540,8 @@ fn problems_in_a_box_are_solved() {
     }
 }
 
-/// Friction turns contact on and is refused where contact is off; keys that name no other solid are refused.
+/// Solids touch unless they say otherwise or no backend but one could; friction needs contact and is refused where it is off; keys that name no other
+/// solid are refused.
 #[test]
 fn friction_and_pairs_are_checked() {
     let text = |domain: &str, first: &str, rest: &str| {
@@ -486,7 +554,19 @@ fn friction_and_pairs_are_checked() {
         )
     };
     let parse = |domain: &str, first: &str, rest: &str| scene_text(&text(domain, first, rest));
-    assert!(!parse("", "", "").unwrap().solver.solid_contact);
+    assert!(parse("", "", "").unwrap().solver.solid_contact);
+    let liquid = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.2, 1] }\n[solver]\n";
+    let without = [
+        ("contact = false", String::new()),
+        ("no_contact_with = [\"other\"]", String::new()),
+        ("", "no_contact_with = [\"block\"]".to_owned()),
+        ("", "[solver]\nsolid_contact = false".to_owned()),
+        ("", "[solver]\nprecision = \"f32\"".to_owned()),
+        ("", format!("{liquid}coupling = \"weak\"")),
+    ];
+    for (first, rest) in without {
+        assert!(!parse("", first, &rest).unwrap().solver.solid_contact, "{first} {rest}");
+    }
     for (domain, first) in [("friction = 0.2", ""), ("", "friction = 0.2")] {
         assert!(parse(domain, first, "").unwrap().solver.solid_contact);
         assert!(parse(domain, first, "[solver]\ntolerance = 1e-9").unwrap().solver.solid_contact);

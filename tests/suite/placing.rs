@@ -257,8 +257,11 @@ fn ball(name: &str, at: [f64; 3], rest: &str) -> String {
 
 #[test]
 fn solids_that_overlap_or_may_meet_are_told_before_a_run() {
-    let head = format!("{HEAD}{POOL}");
     let one = ball("one", [0.2, 0.25, 0.2], "");
+    let apart = ball("two", [0.1, 0.25, 0.1], "");
+    // They touch.
+    warns(&(format!("{HEAD}{POOL}") + &one + &apart), &[]);
+    let head = format!("{HEAD}{POOL}[solver]\nsolid_contact = false\n");
     warns(&(head.clone() + &one), &[]);
     let same = ball("two", [0.2, 0.25, 0.2], "");
     warns(
@@ -276,9 +279,8 @@ fn solids_that_overlap_or_may_meet_are_told_before_a_run() {
     // Sides that touch are no overlap, but the bodies may meet.
     let beside = brick("b").replace("[0.2, 0.25, 0.2]", "[0.3, 0.25, 0.2]");
     warns(&(head.clone() + &brick("a") + &beside), &["\"a\" and \"b\" may meet"]);
-    let apart = ball("two", [0.1, 0.25, 0.1], "");
     let third = ball("three", [0.3, 0.25, 0.33], "");
-    warns(&(head.clone() + &one + &apart), &["\"one\" and \"two\" may meet: solids pass through"]);
+    warns(&(head.clone() + &one + &apart), &["\"one\" and \"two\" may meet: they pass through"]);
     warns(&(head.clone() + &one + &apart + &third), &["\"one\" and \"two\" may meet, 2 more pairs too"]);
     // What is held cannot get away.
     let pin = "[[solid.pin]]\nregion = { half_space = { point = [0, 0.25, 0], normal = [0, -1, 0] } }\n";

@@ -142,6 +142,7 @@ fn solids_with(absent: &[&str], overrides: &[&str]) -> Scene {
         );
         text += &with("loads", &format!("[[solid.load]]\n{region}\nforce = [0.0, 1.0, 0.0]\n"));
     }
+    text += "[solver]\nsolid_contact = false\n";
     text += &with("obstacles", "[[obstacle]]\nsphere = { centre = [0.5, 0.1, 0.5], radius = 0.1 }\n");
     text += &with("probes", "[[probe]]\nname = \"tip\"\nnode = { solid = \"left\", rest_point = [0.3, 0.5, 0.5] }\n");
     scene_from(&text, overrides)
