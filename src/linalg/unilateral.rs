@@ -45,8 +45,8 @@ const REFINEMENTS: usize = 3;
 /// Solves for the forces of held rows, at most, less one.
 const MOST_FORCES: usize = 40;
 /// Solves without gain that end the search for forces: the rest is rounding. A gain is a violation smaller by this factor.
-const FORCE_PATIENCE: u32 = 3;
-const GAIN: f64 = 0.9;
+const FORCE_PATIENCE: u32 = 6;
+const GAIN: f64 = 0.99;
 /// Part of a change between two solves that must be new to improve the next.
 const NEW: f64 = 1e-8;
 
