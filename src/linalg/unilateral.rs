@@ -456,7 +456,8 @@ impl<'a> ForceSearch<'a> {
                 new.iter_mut().zip(old).for_each(|(new, old)| add(new, -part, old));
             }
             let after = norm(&new[1]);
-            if !(after > NEW * before) {
+            let is_new = after > NEW * before;
+            if !is_new {
                 return false;
             }
             new.iter_mut().flatten().for_each(|value| *value /= after);
@@ -476,7 +477,8 @@ impl<'a> ForceSearch<'a> {
     /// Rows that velocities do not meet.
     pub fn violated(&self, v: &[f64], tolerance: f64) -> usize {
         let most = f64::max(TOLERANCE, tolerance) * largest(v);
-        self.violations(v).filter(|violation| !(*violation <= most)).count()
+        let met = |violation: &f64| *violation <= most;
+        self.violations(v).filter(|violation| !met(violation)).count()
     }
 
     fn violations(&self, v: &[f64]) -> impl Iterator<Item = f64> {

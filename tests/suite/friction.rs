@@ -496,7 +496,7 @@ fn searches_learn_how_velocities_respond() {
             };
             assert_eq!(forces.violated(&found, 0.0), 0, "case {case}");
             most_solves = most_solves.max(solves);
-            let (wrong, again) = search.exchange(&system, &forces.lambda().to_vec(), &found);
+            let (wrong, again) = search.exchange(&system, forces.lambda(), &found);
             if !again {
                 assert_eq!(wrong, 0, "case {case} after {sets} sets");
                 break found;
