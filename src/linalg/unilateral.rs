@@ -42,7 +42,7 @@ const SAME_BOUNDS: f64 = 1e-8;
 const LAG: f64 = 5e-3;
 /// Solves with the factor of W_FF: its rounding and the increase of its diagonal are multiplied by its condition number, up to 1e8.
 const REFINEMENTS: usize = 3;
-/// Solves for the forces of held rows, at most, less one.
+/// Differences between solves that a search for forces learns from, at most.
 const MOST_FORCES: usize = 40;
 /// Solves without gain that end the search for forces: the rest is rounding. A gain is a violation smaller by this factor.
 const FORCE_PATIENCE: u32 = 6;
@@ -332,9 +332,7 @@ impl HeldRows<'_> {
         self.refined(
             v,
             |v| self.rows.iter().map(|&row| -self.system.rows[row].slack(v)).collect(),
-            |lambda, v| {
-                self.add_velocity(lambda, v);
-            },
+            |lambda, v| self.add_velocity(lambda, v),
         )
     }
 
@@ -343,9 +341,7 @@ impl HeldRows<'_> {
         self.refined(
             forces,
             |f| self.rows.iter().map(|&row| -dot(&self.system.columns[row], f)).collect(),
-            |lambda, f| {
-                self.system.add_forces(lambda, f);
-            },
+            |lambda, f| self.system.add_forces(lambda, f),
         )
     }
 
@@ -389,9 +385,9 @@ impl HeldRows<'_> {
     }
 }
 
-/// The search for the forces of held rows where f depends on v and only solves tell how.
+/// The search for the forces of held rows where f depends on v in a way that only solves show.
 ///
-/// The next forces are those of the least residual among the combinations of all before, and what meets the rest without the dependence. That is
+/// The next forces are the combination of all before with the least residual, and those that would meet the rest without the dependence. That is
 /// GMRES preconditioned with W_FF, in the norm of W, as Anderson mixing: H. F. Walker, P. Ni, SIAM Journal on Numerical Analysis 49, 2011.
 #[derive(Debug)]
 pub struct ForceSearch<'a> {

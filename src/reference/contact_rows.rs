@@ -53,7 +53,7 @@ pub const MOST_MEETINGS: u32 = 4;
 const GROWTH: f64 = 2.0;
 /// Largest number of halvings of the next sub-step.
 const MOST_HALVINGS: u32 = 10;
-/// Largest number of coupled solves of a sub-step with the same rows.
+/// Largest number of sets that are held of the same rows, each with a coupled solve; in the two-field form of the device with several.
 pub const MOST_COUPLED: u32 = 20;
 
 /// The bodies and surfaces that may touch in a sub-step.

@@ -325,7 +325,7 @@ impl CoupledSolver {
     }
 
     /// Solves in a prepared form under the rows of solids that touch each other, which join at most `meetings` times more, with at most `most`
-    /// solves each time (twin: reference/contact_rows.rs). `round`: tolerance and guess of a round of separation, as in [`CoupledSolver::solve_then`].
+    /// sets of held rows each time (twin: reference/contact_rows.rs). `round`: tolerance and guess of a round of separation, as in [`CoupledSolver::solve_then`].
     pub(crate) fn solve_in_rows(
         &self,
         gpu: &Gpu,
