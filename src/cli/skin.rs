@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::Error;
-use crate::output::skin::skins;
+use crate::output::skin::{SkinOptions, skins};
 
 use super::bar::progress_bar;
 
@@ -15,6 +15,9 @@ pub(super) struct Skin {
     /// Render mesh of a solid (.obj, .stl, .ply, .glb), in the units and axes of its mesh file; may be repeated. Default: the boundary of its tetrahedra
     #[arg(long = "mesh", value_name = "SOLID=FILE", value_parser = pair)]
     meshes: Vec<(String, PathBuf)>,
+    /// Write .obj files too, without velocities: of solids, obstacles and the liquid's surface
+    #[arg(long)]
+    obj: bool,
 }
 
 /// Vertices farther outside than this share of the solid's length may be those of another mesh.
@@ -29,13 +32,14 @@ impl Skin {
     pub(super) fn run(&self) -> Result<(), Error> {
         super::ensure_run(&self.run, "skin")?;
         let bar = progress_bar("{wide_bar} {pos}/{len}");
-        let reports = skins(&self.run, &self.meshes, &mut |done, all| {
+        let options = SkinOptions { meshes: self.meshes.clone(), obj: self.obj };
+        let reports = skins(&self.run, &options, &mut |done, all| {
             bar.set_length(all as u64);
             bar.set_position(done as u64);
         })?;
         bar.finish_and_clear();
         for report in reports {
-            let name = report.solid.as_deref().unwrap_or("obstacles");
+            let name = &report.name;
             say!(
                 "{name}: {} vertices, {} triangles, {} frames{}",
                 report.vertices,

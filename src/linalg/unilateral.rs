@@ -297,6 +297,13 @@ impl UnilateralRows {
         }
     }
 
+    /// Adds X lambda.
+    pub fn add_velocity(&self, lambda: &[f64], v: &mut [f64]) {
+        for (lambda, column) in lambda.iter().zip(&self.columns).filter(|(lambda, _)| **lambda != 0.0) {
+            v.iter_mut().zip(column).for_each(|(v, x)| *v += lambda * x);
+        }
+    }
+
     /// The rows as equations where `held`; `None` where they are dependent to rounding.
     pub fn hold(&self, held: &[bool]) -> Option<HeldRows<'_>> {
         let n = self.n();
@@ -359,10 +366,7 @@ impl HeldRows<'_> {
 
     /// Adds X lambda.
     pub fn add_velocity(&self, lambda: &[f64], v: &mut [f64]) {
-        for &row in &self.rows {
-            let column = self.system.columns[row].iter();
-            v.iter_mut().zip(column).for_each(|(v, x)| *v += lambda[row] * x);
-        }
+        self.system.add_velocity(lambda, v);
     }
 
     /// G^T lambda.
@@ -497,8 +501,8 @@ pub struct RowSearch {
     held: Vec<bool>,
     /// lambda of the rows that slip, 0 of others; empty where none slips.
     slipping: Vec<f64>,
-    /// lambda and G v - r of the last solution, at first that without lambda.
-    last: [Vec<f64>; 2],
+    /// lambda and G v - r of the last solution with the same f, at first that without lambda.
+    last: Option<[Vec<f64>; 2]>,
     /// The matrix in place of W: change of G v by lambda, learned from the solutions; empty before the first with lambda.
     response: Vec<f64>,
     fewest: usize,
@@ -512,16 +516,27 @@ impl RowSearch {
         RowSearch {
             held: system.basis(&first),
             slipping: slipping(&first),
-            last: [vec![0.0; system.n()], system.slacks(v)],
+            last: Some([vec![0.0; system.n()], system.slacks(v)]),
             response: Vec::new(),
             fewest: usize::MAX,
             patience: PATIENCE,
         }
     }
 
+    /// Goes on after f has changed for another reason than lambda.
+    pub fn begin_again(&mut self) {
+        self.last = None;
+        (self.fewest, self.patience) = (usize::MAX, PATIENCE);
+    }
+
     /// Rows that are held.
     pub fn held(&self) -> &[bool] {
         &self.held
+    }
+
+    /// lambda of the rows that slip; empty where none slips.
+    pub fn slipping(&self) -> &[f64] {
+        &self.slipping
     }
 
     /// G^T lambda of the rows that slip, part of f in the next solve; `None` where none slips.
@@ -597,9 +612,14 @@ impl RowSearch {
     /// Learns from a solution how v responds to lambda: the update of Broyden, Fletcher, Goldfarb and Shanno, begun with a multiple of W.
     fn learn(&mut self, system: &UnilateralRows, lambda: &[f64], slacks: &[f64]) {
         let difference = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f64>>();
-        let change = difference(lambda, &self.last[0]);
-        let response = difference(slacks, &self.last[1]);
-        self.last = [lambda.to_vec(), slacks.to_vec()];
+        let Some(last) = self.last.replace([lambda.to_vec(), slacks.to_vec()]) else {
+            if self.response.is_empty() {
+                self.response.clone_from(&system.matrix);
+            }
+            return;
+        };
+        let change = difference(lambda, &last[0]);
+        let response = difference(slacks, &last[1]);
         let work = dot(&change, &response);
         let alone = dot(&change, &system.products(&change));
         if self.response.is_empty() {

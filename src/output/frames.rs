@@ -13,7 +13,7 @@ use vtkio::model::{
 };
 
 use super::atomic::{create_folder, write_atomically};
-use super::ply::{self, PlyMesh};
+use super::ply::{self, ShadedMesh};
 use super::surface::{DROP_CORNERS, LiquidSurface};
 use super::vtk;
 use crate::Error;
@@ -172,7 +172,7 @@ impl FrameWriter {
             }
         }
         if let Some((series, surface)) = surface {
-            let mesh = PlyMesh {
+            let mesh = ShadedMesh {
                 vertices: &surface.mesh.vertices,
                 normals: &surface.mesh.normals,
                 velocity: Some(&surface.velocity),

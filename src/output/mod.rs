@@ -10,6 +10,7 @@
 //! DIR/frames/NAME_000042.ply     the liquid's surface
 //! DIR/frames/NAME_surface_000042.vtp  the same         NAME_surface.pvd   the same with times
 //! DIR/frames/NAME_SOLID_000042.ply  skin of a solid   NAME_SOLID.glb     the same, animated
+//! DIR/frames/NAME_000042.obj, NAME_SOLID_000042.obj  the liquid's surface, and skins
 //! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles at the start
 //! DIR/frames/NAME_obstacles_000042.vtp  moving obstacles NAME_obstacles.pvd  the same with times
 //! DIR/preview/NAME_000042.png    shaded pictures         NAME.png           the animation (APNG)
@@ -24,6 +25,7 @@ pub mod drawing;
 pub mod frames;
 pub mod manifest;
 mod mesh;
+mod obj;
 pub mod plot;
 mod ply;
 pub mod preview;

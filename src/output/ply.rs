@@ -9,8 +9,8 @@ use ply_rs_bw::writer::Writer;
 use super::atomic::write_atomically;
 use crate::Error;
 
-/// A surface with data of its vertices.
-pub(super) struct PlyMesh<'a> {
+/// Triangles with data of their vertices.
+pub(super) struct ShadedMesh<'a> {
     /// m
     pub(super) vertices: &'a [Vec3],
     pub(super) normals: &'a [Vec3],
@@ -51,7 +51,7 @@ impl PropertyAccess for Element {
     }
 }
 
-pub(super) fn write(path: &Path, mesh: &PlyMesh) -> Result<(), Error> {
+pub(super) fn write(path: &Path, mesh: &ShadedMesh) -> Result<(), Error> {
     let mut vertex = ElementDef::new("vertex".to_owned());
     for (place, name) in VERTEX_PROPERTIES.into_iter().enumerate() {
         let absent = match place {

@@ -3,6 +3,7 @@
 //! - `NAME_SOLID_%06d.ply`: position, normal, velocity and texture coordinates of each vertex
 //! - `NAME_SOLID.glb`: the animated mesh as glTF 2.0, a morph target for each frame after the first; weights are linear in time
 //! - `NAME_obstacles.ply`, and of moving ones `NAME_obstacles_%06d.ply`
+//! - on request the same as `.obj`, and the surface of the liquid as `NAME_%06d.obj`
 //!
 //! Vertices are embedded in the rest shape ([`Embedding`]). All files go to `DIR/frames/`.
 
@@ -17,20 +18,31 @@ use vtkio::model::{DataSet, IOBuffer, Piece, VertexNumbers};
 
 use super::frames::moved_obstacles_file;
 use super::manifest::Manifest;
-use super::ply::{self, PlyMesh};
-use super::preview::{array, points, unreadable};
+use super::obj;
+use super::ply::{self, ShadedMesh};
+use super::preview::{array, frame_files, points, read_surface, unreadable};
+use super::surface::LiquidSurface;
 use crate::Error;
 use crate::geometry::{Embedding, RenderMesh, TetMesh, bounds, read_render_mesh};
 use animation::Animation;
 
-/// Files written for a solid or the obstacles.
-#[derive(Clone, Debug, PartialEq)]
+/// Files that are written.
+#[derive(Clone, Debug, Default)]
+pub struct SkinOptions {
+    /// Mesh files of solids by name, in the coordinates of the solid's own mesh file; other solids have the boundary of their tetrahedra.
+    pub meshes: Vec<(String, PathBuf)>,
+    /// Whether `.obj` files are written too, those of the liquid included.
+    pub obj: bool,
+}
+
+/// Files written for a solid, the obstacles or the liquid.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SkinReport {
-    /// Name of the solid; `None` for obstacles.
-    pub solid: Option<String>,
-    /// Vertices.
+    /// Name of the solid, `"obstacles"` or `"liquid"`.
+    pub name: String,
+    /// Vertices, in the last frame.
     pub vertices: usize,
-    /// Triangles.
+    /// Triangles, in the last frame.
     pub triangles: usize,
     /// Frames written.
     pub frames: usize,
@@ -42,19 +54,26 @@ pub struct SkinReport {
     pub size: f64,
 }
 
-/// Writes the skins of all solids and the obstacles of a run. `files` names a mesh file for solids, in the coordinates of the solid's own mesh file;
-/// other solids have the boundary of their tetrahedra. `progress` is called with the number of finished and of all frames of all solids.
+/// Writes the skins of all solids and the obstacles of a run. `progress` is called with the number of finished and of all frames, those of the liquid
+/// apart.
+///
+/// # Errors
+/// [`Error::Input`] for a folder or mesh that does not serve, with the cure.
 pub fn skins(
     run: &Path,
-    files: &[(String, PathBuf)],
+    SkinOptions { meshes: files, obj }: &SkinOptions,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Vec<SkinReport>, Error> {
     let manifest = Manifest::read(run)?;
     let folder = run.join("frames");
     let name = &manifest.scene.name;
     let refuse = |problem: String, cure: String| Err(Error::input(run.display().to_string(), problem, cure));
-    if !manifest.solid_frames && !manifest.obstacles {
-        let cure = "run a scene with solids and output.solids on, or with obstacles";
+    let of_liquid = match obj {
+        true => liquid_files(&folder, &manifest),
+        false => Vec::new(),
+    };
+    if !manifest.solid_frames && !manifest.obstacles && of_liquid.is_empty() {
+        let cure = "run a scene with solids and output.solids on, or with obstacles; --obj also writes liquid";
         return refuse("the run has no frames of solids, and no obstacles".to_owned(), cure.to_owned());
     }
     let names: Vec<&str> = manifest.solids.iter().map(|solid| solid.name.as_str()).collect();
@@ -78,7 +97,11 @@ pub fn skins(
     let numbers = &manifest.progress.frames_written;
     let mut reports = Vec::new();
     if manifest.obstacles {
-        reports.push(obstacles(&folder, name, numbers)?);
+        reports.push(obstacles(&folder, name, (numbers, *obj))?);
+    }
+    let n_frames = of_liquid.len() + if manifest.solid_frames { numbers.len() } else { 0 };
+    if !of_liquid.is_empty() {
+        reports.push(liquid(&folder, &manifest, &of_liquid, &mut |done| progress(done, n_frames))?);
     }
     if !manifest.solid_frames {
         return Ok(reports);
@@ -96,7 +119,7 @@ pub fn skins(
     }
     let mut animations: Vec<Animation> = skins.iter().map(|_| Animation::default()).collect();
     for (done, &number) in numbers.iter().enumerate() {
-        progress(done, numbers.len());
+        progress(of_liquid.len() + done, n_frames);
         let frame = Frame::read(&file(number))?;
         if frame.elements != first.elements {
             return refuse(
@@ -107,24 +130,23 @@ pub fn skins(
         for ((skin, animation), solid) in skins.iter().zip(&mut animations).zip(&names) {
             let [vertices, velocity] = [&frame.nodes, &frame.velocity].map(|values| single(&skin.embedding.at(values)));
             let normals = skin.normals(&vertices);
-            let path = folder.join(format!("{name}_{solid}_{number:06}.ply"));
-            let mesh = PlyMesh {
+            let mesh = ShadedMesh {
                 vertices: &vertices,
                 normals: &normals,
                 velocity: Some(&velocity),
                 texture: (!skin.texture.is_empty()).then_some(&skin.texture),
                 triangles: &skin.triangles,
             };
-            ply::write(&path, &mesh)?;
+            write(&folder.join(format!("{name}_{solid}_{number:06}.ply")), &mesh, *obj)?;
             animation.push(number as f64 / manifest.frames_per_second, vertices, normals);
         }
     }
-    progress(numbers.len(), numbers.len());
+    progress(n_frames, n_frames);
     for ((skin, animation), solid) in skins.into_iter().zip(animations).zip(names) {
         let path = folder.join(format!("{name}_{solid}.glb"));
         animation.write(&path, solid, &skin.texture, &skin.triangles)?;
         reports.push(SkinReport {
-            solid: Some(solid.to_owned()),
+            name: solid.to_owned(),
             vertices: skin.embedding.corners.len(),
             triangles: skin.triangles.len(),
             frames: numbers.len(),
@@ -134,6 +156,39 @@ pub fn skins(
         });
     }
     Ok(reports)
+}
+
+/// Writes the `.ply` file, and on request the `.obj` file beside it.
+fn write(path: &Path, mesh: &ShadedMesh, obj: bool) -> Result<(), Error> {
+    ply::write(path, mesh)?;
+    match obj {
+        true => obj::write(&path.with_extension("obj"), mesh),
+        false => Ok(()),
+    }
+}
+
+/// The files of the frames that show the surface of the liquid; none where the run writes no frames.
+fn liquid_files(folder: &Path, manifest: &Manifest) -> Vec<(u64, PathBuf)> {
+    let files = frame_files(folder, manifest).into_iter().flatten();
+    files.filter_map(|(number, files)| Some((number, files.liquid?))).collect()
+}
+
+/// Writes the surface of the liquid as `.obj`. `progress` is called with the number of finished frames.
+fn liquid(
+    folder: &Path,
+    manifest: &Manifest,
+    files: &[(u64, PathBuf)],
+    progress: &mut dyn FnMut(usize),
+) -> Result<SkinReport, Error> {
+    let mut report = SkinReport { name: "liquid".to_owned(), frames: files.len(), ..SkinReport::default() };
+    for (done, (number, file)) in files.iter().enumerate() {
+        progress(done);
+        let LiquidSurface { vertices, normals, triangles } = &read_surface(file, manifest)?;
+        let mesh = ShadedMesh { vertices, normals, velocity: None, texture: None, triangles };
+        obj::write(&folder.join(format!("{}_{number:06}.obj", manifest.scene.name)), &mesh)?;
+        (report.vertices, report.triangles) = (vertices.len(), triangles.len());
+    }
+    Ok(report)
 }
 
 /// Tetrahedra of a frame.
@@ -286,9 +341,8 @@ fn single(values: &[DVec3]) -> Vec<Vec3> {
 }
 
 /// Writes the obstacles, at rest and in each frame in which they moved.
-fn obstacles(folder: &Path, name: &str, numbers: &[u64]) -> Result<SkinReport, Error> {
-    let mut report =
-        SkinReport { solid: None, vertices: 0, triangles: 0, frames: 0, animation: None, farthest: 0.0, size: 0.0 };
+fn obstacles(folder: &Path, name: &str, (numbers, obj): (&[u64], bool)) -> Result<SkinReport, Error> {
+    let mut report = SkinReport { name: "obstacles".to_owned(), ..SkinReport::default() };
     let moved = numbers.iter().map(|&frame| folder.join(moved_obstacles_file(name, frame)));
     let files = [folder.join(format!("{name}_obstacles.vtp"))].into_iter().chain(moved.filter(|file| file.is_file()));
     for file in files {
@@ -320,8 +374,8 @@ fn obstacles(folder: &Path, name: &str, numbers: &[u64]) -> Result<SkinReport, E
         let numbers: Vec<u32> = (0..corners.len() as u32).collect();
         let triangles: Vec<[u32; 3]> = numbers.chunks_exact(3).map(|of| [of[0], of[1], of[2]]).collect();
         let mesh =
-            PlyMesh { vertices: &corners, normals: &normals, velocity: None, texture: None, triangles: &triangles };
-        ply::write(&file.with_extension("ply"), &mesh)?;
+            ShadedMesh { vertices: &corners, normals: &normals, velocity: None, texture: None, triangles: &triangles };
+        write(&file.with_extension("ply"), &mesh, obj)?;
         (report.vertices, report.triangles) = (corners.len(), triangles.len());
         report.frames += 1;
     }

@@ -15,7 +15,10 @@ use crate::grid::Grid;
 use crate::linalg::Row;
 use crate::reference::{MOST_COUPLED, MOST_MEETINGS};
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
-use crate::solver::{CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, Weak, WeakBuffers};
+use crate::solver::{
+    CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, RowLimits, RowRound, RowSolves, Weak,
+    WeakBuffers,
+};
 use crate::stages;
 use crate::stages::{OpenFaces, PatchPressure, Seal};
 use crate::state::{ContactReport, CouplingReport, SeparationReport, SolveStatus, State};
@@ -194,8 +197,8 @@ impl CouplingStages {
     }
 }
 
-/// Solves under the rows of solids that touch each other, with separation in rounds, each of which begins without rows. The recording
-/// starts the solve. `displacement` of all nodes, m.
+/// Solves under the rows of solids that touch each other, with separation in rounds. While the separated cells change, a round tries one set of
+/// rows. The recording starts the solve. `displacement` of all nodes, m.
 fn solve_in_rows(
     (gpu, recorder): (&Gpu, Recorder),
     together: &CoupledSolver,
@@ -209,13 +212,18 @@ fn solve_in_rows(
         velocity.clone_into(&mut last);
         Ok(contacts.touching(&solids.solids, dx, displacement, |touching| touching.rows(velocity, known)))
     };
-    let most = [MOST_MEETINGS, MOST_COUPLED];
     let (form, recorder, mut times) = together.prepare(gpu, recorder, at, &polynomial)?;
+    let mut solves = RowSolves::new(together, form);
     let mut contact = ContactReport::default();
     let mut iterations = 0;
-    let mut solve = |recorder, round: Option<(f64, bool)>| {
-        let (mut outcome, report, mut seconds) =
-            together.solve_in_rows(gpu, recorder, &form, round, (&mut rows, most))?;
+    let mut solve = |recorder, round: Option<RowRound>| {
+        let rough = round.is_some_and(|round| round.tolerance > together.tolerance());
+        let env = |name: &str, other: u32| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(other);
+        let limits = match rough {
+            true => RowLimits { meetings: env("TOG_MEET", 0), sets: env("TOG_SETS", 1) },
+            false => RowLimits { meetings: MOST_MEETINGS, sets: MOST_COUPLED },
+        };
+        let (mut outcome, report, mut seconds) = solves.solve(gpu, recorder, round, (&mut rows, limits))?;
         times.append(&mut seconds);
         contact = ContactReport { solves: contact.solves + report.solves, ..report };
         iterations += outcome.iterations;
@@ -226,7 +234,8 @@ fn solve_in_rows(
         None => solve(recorder, None)?,
         Some(rounds) => {
             let (outcome, restoring) = rounds.search(recorder, |recorder, round, _| {
-                Ok((solve(recorder, Some((round.tolerance, round.number > 1)))?, false))
+                let round = RowRound { tolerance: round.tolerance, guess: round.number > 1 };
+                Ok((solve(recorder, Some(round))?, false))
             })?;
             restoring.submit();
             outcome

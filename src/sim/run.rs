@@ -358,14 +358,17 @@ fn remove_frames_without_place(out: &Path, scene: &Scene, manifest: &Manifest, r
     }
     let skins = Cell::new(false);
     let stale = |name: &str| {
-        let stale = manifest.solids.iter().any(|solid| {
-            let skin = name.strip_prefix(&format!("{}_{}", scene.name, solid.name));
-            skin.is_some_and(|skin| {
-                let number = skin.strip_prefix('_').and_then(|skin| skin.strip_suffix(".ply"));
-                let number = number.and_then(|number| number.parse().ok());
-                skin == ".glb" || number.is_some_and(|frame| frame > resumed || !stays(frame))
-            })
-        });
+        let surface = name.ends_with(".obj") && frame_of(name, &scene.name).is_some_and(|frame| frame > resumed);
+        let stale = surface
+            || manifest.solids.iter().any(|solid| {
+                let skin = name.strip_prefix(&format!("{}_{}", scene.name, solid.name));
+                skin.is_some_and(|skin| {
+                    let number = skin.strip_prefix('_').and_then(|skin| skin.split_once('.'));
+                    let number = number.filter(|(_, kind)| ["ply", "obj"].contains(kind));
+                    let number = number.and_then(|(number, _)| number.parse().ok());
+                    skin == ".glb" || number.is_some_and(|frame| frame > resumed || !stays(frame))
+                })
+            });
         skins.set(skins.get() || stale);
         stale
     };
@@ -389,7 +392,7 @@ fn prepare_folder(out: &Path, earlier_run: Option<Manifest>) -> Result<(), Error
             let kind = Path::new(name).extension().and_then(|kind| kind.to_str());
             let rest = name.strip_prefix(&earlier.scene.name);
             rest.is_some_and(|rest| rest.starts_with(['_', '.']))
-                && matches!(kind, Some("vtp" | "vti" | "vtu" | "ply" | "glb" | "pvd" | "png" | "gif"))
+                && matches!(kind, Some("vtp" | "vti" | "vtu" | "ply" | "obj" | "glb" | "pvd" | "png" | "gif"))
         };
         for folder in ["frames", "preview"] {
             remove(&out.join(folder), &belongs)?;

@@ -18,13 +18,12 @@ use std::sync::{Mutex, PoisonError};
 use crate::Error;
 use crate::fields::SolidBuffers;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Readback, Real, Recorder, StageTimes};
-use crate::linalg::{ForceSearch, RowSearch};
 use crate::scene::{Formulation, Solver};
-use crate::state::{ContactReport, SolveStatus};
+use crate::state::SolveStatus;
 use crate::wgsl;
 
 use super::chebyshev::Polynomial;
-use super::contact_rows::{self, HeldSolve, NodeReadbacks, RowsOf};
+use super::contact_rows::{HeldSolve, NodeReadbacks};
 use super::coupled_host::HostCoupled;
 use super::pcg::{Block, Pcg, State, Unknowns};
 use super::pressure::Pressure;
@@ -120,7 +119,7 @@ impl<'a> CoupledFields<'a> {
 /// Solver of the coupled system.
 #[derive(Debug)]
 pub struct CoupledSolver {
-    outer: OuterLoop<Coupled>,
+    pub(super) outer: OuterLoop<Coupled>,
     polynomial: Buffer<Polynomial>,
     push: Bound,
     search: ContactSearch,
@@ -147,13 +146,13 @@ impl<'a> Case<'a> {
 /// Form of the corrections of a sub-step.
 #[derive(Debug)]
 pub(crate) struct CorrectionForm<'a> {
-    at: CoupledFields<'a>,
+    pub(super) at: CoupledFields<'a>,
     degree: usize,
-    prepared: Option<(&'a Schur, Prepared<'a>)>,
+    pub(super) prepared: Option<(&'a Schur, Prepared<'a>)>,
 }
 
 impl CorrectionForm<'_> {
-    fn condenses(&self) -> bool {
+    pub(super) fn condenses(&self) -> bool {
         !matches!(self.prepared, None | Some((_, Prepared::Monolithic)))
     }
 
@@ -174,7 +173,7 @@ impl CorrectionForm<'_> {
 
 /// Kernels of both forms, and those of the residual.
 #[derive(Debug)]
-struct Coupled {
+pub(super) struct Coupled {
     pressure: Pressure,
     args: Bound,
     guess: Bound,
@@ -185,11 +184,11 @@ struct Coupled {
     /// J^T of a search direction of the pressure.
     force: Bound,
     monolithic: Monolithic,
-    schur: Option<Schur>,
+    pub(super) schur: Option<Schur>,
     /// For the Schur-complement form and for contact.
-    stiffness: Option<StoredStiffness>,
+    pub(super) stiffness: Option<StoredStiffness>,
     /// Where solids touch each other.
-    nodes: Option<Mutex<NodeReadbacks>>,
+    pub(super) nodes: Option<Mutex<NodeReadbacks>>,
     /// For the right-hand side of the wet quads, where residuals are evaluated on the host.
     base: Option<Mutex<Readback<u32>>>,
 }
@@ -248,7 +247,7 @@ impl CoupledSolver {
     }
 
     /// `again`, `held`: see [`CorrectionForm::case`]. `aim`: of a round of separation, as in [`CoupledSolver::solve_then`].
-    fn solve_form(
+    pub(super) fn solve_form(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
@@ -324,124 +323,6 @@ impl CoupledSolver {
         self.outer.tolerance()
     }
 
-    /// Solves in a prepared form under the rows of solids that touch each other, which join at most `meetings` times more, with at most `most`
-    /// sets of held rows each time (twin: reference/contact_rows.rs). `round`: tolerance and guess of a round of separation, as in [`CoupledSolver::solve_then`].
-    pub(crate) fn solve_in_rows(
-        &self,
-        gpu: &Gpu,
-        recorder: Recorder,
-        form: &CorrectionForm,
-        round: Option<(f64, bool)>,
-        (rows_of, [meetings, most]): (RowsOf, [u32; 2]),
-    ) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
-        let at = form.at;
-        let first = round.map(|(tolerance, guess)| Aim { tolerance, guess });
-        let again = first.is_some_and(|aim| aim.guess);
-        let (mut outcome, mut times) = self.solve_form(gpu, recorder, form, (again, None), first)?;
-        let later = first.map(|aim| Aim { guess: false, ..aim });
-        let tolerance = round.map_or(self.tolerance(), |(tolerance, _)| tolerance);
-        let mut report = ContactReport { solves: 1, ..ContactReport::default() };
-        let system = &self.outer.system;
-        let Some((nodes, stiffness)) = system.nodes.as_ref().zip(system.stiffness.as_ref()) else {
-            return Ok((outcome, report, times));
-        };
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut nodes = nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        let [free, rhs] = nodes.read(gpu, at.solids, at.fields)?;
-        let Some(mut rows) = rows_of(&contact_rows::three(&free), &[])?.filter(|_| outcome.status.is_best_attainable())
-        else {
-            return Ok((outcome, report, times));
-        };
-        // With rows the Schur-complement form is worth more wet nodes: in the other one a set of rows takes several solves.
-        let with_room = match (&form.prepared, &system.schur) {
-            (Some((_, Prepared::Monolithic)), Some(schur)) => {
-                let all = (schur, schur.room());
-                let (prepared, mut stages) = system.prepare(gpu, Recorder::timed(gpu), at, all)?;
-                times.append(&mut stages);
-                Some(CorrectionForm { prepared: Some((schur, prepared)), ..*form })
-            }
-            _ => None,
-        };
-        let form = with_room.as_ref().unwrap_or(form);
-        let schur = match &form.prepared {
-            Some((schur, Prepared::Schur(inverse))) => Some((*schur, inverse)),
-            _ => None,
-        };
-        let own = match schur {
-            Some(_) => None,
-            None => stiffness.read_and_factorise(gpu, at.solids, at.fields)?,
-        };
-        let Some(factor) = schur.map(|(_, inverse)| &inverse.factor).or(own.as_ref()) else {
-            outcome.status = SolveStatus::Breakdown;
-            report.unsettled = rows.len() as u32;
-            return Ok((outcome, report, times));
-        };
-        let start = contact_rows::prescribed(factor, &free);
-        let mut velocity = free.clone();
-        for meeting in 0.. {
-            let known = rows.clone();
-            let wanted = contact_rows::unilateral(rows, at.coupling.n_nodes, factor);
-            let mut search = RowSearch::new(&wanted, &free);
-            for _ in 0..most {
-                let Some(held) = wanted.hold(search.held()) else {
-                    report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
-                    break;
-                };
-                let mut pushed = rhs.clone();
-                if let Some(forces) = search.slipping_forces(&wanted) {
-                    pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
-                }
-                let mut solve = |held: Option<&HeldSolve>| {
-                    let (next, mut stages) = self.solve_form(gpu, Recorder::timed(gpu), form, (true, held), later)?;
-                    times.append(&mut stages);
-                    outcome = CoupledOutcome { iterations: outcome.iterations + next.iterations, ..next };
-                    report.solves += 1;
-                    let [velocity, _] = nodes.read(gpu, at.solids, at.fields)?;
-                    Ok::<_, Error>((velocity, outcome.status.is_best_attainable()))
-                };
-                let (lambda, solved, missed);
-                match schur {
-                    Some((schur, inverse)) => {
-                        let held = HeldSolve::new(gpu, held, &start, &pushed, &at.solids.rhs);
-                        schur.hold(gpu, inverse, &held);
-                        (velocity, solved) = solve(Some(&held))?;
-                        (lambda, missed) = (held.lambda(), 0);
-                    }
-                    None => {
-                        let mut forces = ForceSearch::new(held, &free);
-                        (velocity, solved) = loop {
-                            let sums = pushed.iter().zip(forces.forces());
-                            at.solids.rhs.upload(gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
-                            let (velocity, solved) = solve(None)?;
-                            if !solved || !forces.advance(&velocity, tolerance) {
-                                break (velocity, solved);
-                            }
-                        };
-                        (lambda, missed) = (forces.lambda().to_vec(), forces.violated(&velocity, tolerance));
-                    }
-                }
-                let (wrong, exchanged) = search.exchange(&wanted, &lambda, &velocity);
-                report.unsettled = (wrong + missed) as u32;
-                if !exchanged || !solved {
-                    break;
-                }
-            }
-            let next = rows_of(&contact_rows::three(&velocity), &known)?;
-            let Some(next) = next.filter(|_| outcome.status.is_best_attainable() && meeting < meetings) else {
-                break;
-            };
-            rows = next;
-        }
-        if round.is_some() {
-            // The next round begins without rows.
-            if let Some((schur, inverse)) = schur {
-                schur.release(gpu, inverse);
-            }
-            at.solids.rhs.upload(gpu, &rhs);
-        }
-        Ok((outcome, report, times))
-    }
-
     /// From the next solve on, another tolerance of both residuals.
     pub fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
         self.outer.set_tolerance(gpu, tolerance);
@@ -494,7 +375,7 @@ impl CoupledSolver {
 
 impl Coupled {
     /// Prepares the Schur-complement form for `most` wet nodes, after the recording.
-    fn prepare<'a>(
+    pub(super) fn prepare<'a>(
         &'a self,
         gpu: &Gpu,
         recorder: Recorder,

@@ -341,11 +341,6 @@ impl Schur {
         Ok((Prepared::Schur(inverse), times))
     }
 
-    /// Writes the wet compliance without rows.
-    pub(super) fn release(&self, gpu: &Gpu, inverse: &Inverse) {
-        gpu.upload(&self.w, &inverse.wet);
-    }
-
     /// Writes the wet compliance with rows as equations.
     pub(super) fn hold(&self, gpu: &Gpu, inverse: &Inverse, held: &HeldSolve) {
         gpu.upload(&self.w, &held.compliance(inverse));

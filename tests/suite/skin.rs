@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 use cutwater::geometry::{self, Embedding, TetMesh};
-use cutwater::output::skin::skins;
+use cutwater::output::skin::{SkinOptions, skins};
 use glam::DVec3;
 use serde_json::Value;
 
@@ -108,6 +108,15 @@ names = [str(name) for name in vertex.dtype.names]
 print(json.dumps({'names': names, 'columns': {name: vertex[name].reshape(-1).astype(float).tolist() for name in names}}))
 ";
 
+/// Positions and texture coordinates of the corners of each triangle, by trimesh, which splits vertices as it needs.
+const OBJ: &str = "
+import json, trimesh
+mesh = trimesh.load(PATH, process=False, maintain_order=True)
+uv = mesh.visual.uv
+print(json.dumps({'corners': mesh.vertices[mesh.faces].reshape(-1, 3).tolist(), 'uv': uv[mesh.faces].reshape(-1, 2).tolist(),
+    'normals': mesh.vertex_normals[mesh.faces].reshape(-1, 3).tolist(), 'faces': len(mesh.faces)}))
+";
+
 fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
 }
@@ -138,8 +147,8 @@ fn skins_keep_texture_and_follow_the_solid() {
     case.state.time = 0.5;
     case.write(&mut writer).unwrap();
 
-    let files = [("block".to_owned(), folder.path().join("cube.obj"))];
-    let reports = skins(&run, &files, &mut |_, _| {}).unwrap();
+    let meshes = vec![("block".to_owned(), folder.path().join("cube.obj"))];
+    let reports = skins(&run, &SkinOptions { meshes, obj: true }, &mut |_, _| {}).unwrap();
     // The file uses 20 distinct pairs of position and texture vertex.
     let report = &reports[0];
     assert_eq!((report.vertices, report.triangles, report.frames), (20, 12, 2));
@@ -173,13 +182,25 @@ fn skins_keep_texture_and_follow_the_solid() {
         assert_eq!([uv[0], 1.0 - uv[1]], [s[vertex], t[vertex]]);
     }
 
+    // The same as OBJ; here triangles are counter-clockwise seen from outside.
+    let obj = found(&frames, &OBJ.replace("PATH", "'blocks_block_000012.obj'")).unwrap();
+    assert_eq!(obj["faces"], 12);
+    let corners = numbers(&glb["triangles"]).into_iter().map(|vertex| vertex as usize);
+    let of_obj = vectors(&obj["corners"]).into_iter().zip(vectors(&obj["uv"])).zip(vectors(&obj["normals"]));
+    for (vertex, ((at, uv), normal)) in corners.zip(of_obj) {
+        assert_eq!(at, [x[vertex], y[vertex], z[vertex]]);
+        assert_eq!(uv, [s[vertex], t[vertex]]);
+        let out = DVec3::from_slice(&at) - DVec3::new(0.5, 0.25, 0.25);
+        assert!(DVec3::from_slice(&normal).dot(out) > 0.0, "{normal:?} at {at:?}");
+    }
+
     // The animated file is itself a mesh that can be read: the cube of the first frame.
     let cube = geometry::read_mesh(&frames.join("blocks_block.glb")).unwrap();
     assert_eq!((cube.vertices.len(), cube.triangles.len()), (8, 12));
     assert!((cube.volume() - 8e-3).abs() < 1e-7);
 
     // Without a file: the boundary of the tetrahedra, closed, with its volume.
-    skins(&run, &[], &mut |_, _| {}).unwrap();
+    skins(&run, &SkinOptions::default(), &mut |_, _| {}).unwrap();
     let boundary = geometry::read_mesh(&frames.join("blocks_block_000000.ply")).unwrap();
     let volume: f64 = case.solids.volume.iter().sum();
     assert!((boundary.volume() / volume - 1.0).abs() < 1e-5);
@@ -205,8 +226,8 @@ fn wrong_skins_are_refused_with_their_cure() {
         ("block", &far, "units and axes"),
         ("block", &folder.path().join("none.obj"), "none.obj"),
     ] {
-        let files = [(solid.to_owned(), file.clone())];
-        let error = skins(&run, &files, &mut |_, _| {}).unwrap_err();
+        let options = SkinOptions { meshes: vec![(solid.to_owned(), file.clone())], obj: false };
+        let error = skins(&run, &options, &mut |_, _| {}).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         assert!(error.to_string().contains(expected), "{error}");
     }

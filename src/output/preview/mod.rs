@@ -361,8 +361,8 @@ impl Pictures {
 
 /// Files of a frame.
 #[derive(Default)]
-struct FrameFiles {
-    liquid: Option<PathBuf>,
+pub(super) struct FrameFiles {
+    pub(super) liquid: Option<PathBuf>,
     solids: Option<PathBuf>,
 }
 
@@ -374,7 +374,7 @@ fn seconds_shown(numbers: &[u64], frames_per_second: f64) -> Vec<f64> {
 }
 
 /// Complete frames in the folder by number. The liquid's file is its surface, markers or fields.
-fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, FrameFiles>, Error> {
+pub(super) fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, FrameFiles>, Error> {
     let name = &manifest.scene.name;
     let solids = manifest.solid_frames.then(|| (format!("{name}_"), "vtu"));
     // File name before and after the number.
@@ -469,7 +469,7 @@ pub(super) fn array(attributes: &[Attribute], name: &str) -> Option<IOBuffer> {
 }
 
 /// The liquid's surface of a frame file: stored, or reconstructed from markers or fields.
-fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error> {
+pub(super) fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error> {
     let missing = |what: &str| unreadable(path, format!("no {what}"));
     let grid = Grid { cells: manifest.cells, dx: manifest.dx };
     let surface = match read_vtk(path)? {

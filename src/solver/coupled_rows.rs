@@ -1,0 +1,267 @@
+//! Coupled solves of a sub-step in which solids touch each other (twin: reference/contact_rows.rs).
+//!
+//! The rows, those of them that are held, and what is known of their response stay from one round of separation to the next.
+
+use std::sync::PoisonError;
+
+use crate::Error;
+use crate::gpu::{Gpu, Recorder, StageTimes};
+use crate::linalg::{ForceSearch, HeldRows, Row, RowSearch, UnilateralRows};
+use crate::state::{ContactReport, SolveStatus};
+
+use super::contact_rows::{self, HeldSolve, NodeReadbacks, RowsOf};
+use super::coupled::{CorrectionForm, CoupledOutcome, CoupledSolver};
+use super::refine::Aim;
+use super::schur::{Inverse, Prepared, Schur};
+use super::stored_stiffness::Factor;
+
+/// A round of separation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RowRound {
+    /// Relative tolerance of both residuals.
+    pub(crate) tolerance: f64,
+    /// Whether velocities, and the correction of potentials in the buffers, are a guess.
+    pub(crate) guess: bool,
+}
+
+/// Most solves of a round.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RowLimits {
+    /// Times that rows of meetings join.
+    pub(crate) meetings: u32,
+    /// Sets of held rows for the same rows.
+    pub(crate) sets: u32,
+}
+
+/// The coupled solves of a sub-step under the rows of solids that touch each other.
+#[derive(Debug)]
+pub(crate) struct RowSolves<'a> {
+    together: &'a CoupledSolver,
+    form: CorrectionForm<'a>,
+    /// S^-1, where the form has none.
+    factor: Option<Factor<'a>>,
+    /// `None` until solids touch.
+    contact: Option<Contact>,
+}
+
+/// Rows of the sub-step so far, and the search for those to hold.
+#[derive(Debug)]
+struct Contact {
+    rows: Vec<Row>,
+    system: UnilateralRows,
+    search: RowSearch,
+    /// Forces of the rows in the last solve, N.
+    lambda: Vec<f64>,
+}
+
+impl Contact {
+    /// `free`: velocities without the forces of rows, m/s, four numbers per node.
+    fn new(rows: Vec<Row>, n_nodes: usize, factor: &Factor, free: &[f64]) -> Contact {
+        let system = contact_rows::unilateral(rows.clone(), n_nodes, factor);
+        let search = RowSearch::new(&system, free);
+        Contact { rows, lambda: Vec::new(), system, search }
+    }
+}
+
+/// Solves of a round with the same system of liquid and solids. Vectors with four numbers per node.
+#[derive(Debug)]
+struct Round<'a, 'b> {
+    gpu: &'b Gpu,
+    together: &'a CoupledSolver,
+    form: &'b CorrectionForm<'a>,
+    /// The Schur-complement form, where this is the form.
+    schur: Option<(&'a Schur, &'b Inverse<'a>)>,
+    factor: &'b Factor<'a>,
+    nodes: &'b mut NodeReadbacks,
+    aim: Option<Aim>,
+    /// Velocities without the forces of rows, m/s: solved for, or with the force of the liquid at hand.
+    free: Vec<f64>,
+    /// Right-hand side without the forces of rows, N.
+    rhs: Vec<f64>,
+    solved: Solved,
+}
+
+/// Result of the solves of a round so far.
+#[derive(Debug, Default)]
+struct Solved {
+    outcome: Option<CoupledOutcome>,
+    report: ContactReport,
+    times: StageTimes,
+}
+
+impl Solved {
+    fn found(&self) -> bool {
+        self.outcome.is_some_and(|outcome| outcome.status.is_best_attainable())
+    }
+
+    fn finished(self) -> (CoupledOutcome, ContactReport, StageTimes) {
+        (self.outcome.expect("every round solves"), self.report, self.times)
+    }
+
+    fn add(&mut self, (next, mut times): (CoupledOutcome, StageTimes)) {
+        let before = self.outcome.map_or(0, |outcome| outcome.iterations);
+        self.outcome = Some(CoupledOutcome { iterations: before + next.iterations, ..next });
+        self.report.solves += 1;
+        self.times.append(&mut times);
+    }
+}
+
+impl<'a> RowSolves<'a> {
+    pub(crate) fn new(together: &'a CoupledSolver, form: CorrectionForm<'a>) -> RowSolves<'a> {
+        RowSolves { together, form, factor: None, contact: None }
+    }
+
+    /// Solves under the rows, without them until solids touch. The recording ends with the system of the round.
+    pub(crate) fn solve(
+        &mut self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        round: Option<RowRound>,
+        (rows_of, limits): (RowsOf, RowLimits),
+    ) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
+        let at = self.form.at;
+        let system = &self.together.outer.system;
+        let aim = round.map(|RowRound { tolerance, guess }| Aim { tolerance, guess });
+        let mut solved = Solved::default();
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        let nodes = system.nodes.as_ref().map(|nodes| nodes.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut nodes = nodes.expect("made with every solver for contact");
+        let mut rows = Vec::new();
+        if self.contact.is_none() {
+            let again = aim.is_some_and(|aim| aim.guess);
+            solved.add(self.together.solve_form(gpu, recorder, &self.form, (again, None), aim)?);
+        } else {
+            solved.times = recorder.submit().wait()?;
+        }
+        let [velocity, rhs] = nodes.read(gpu, at.solids, at.fields)?;
+        if self.contact.is_none() {
+            let found = rows_of(&contact_rows::three(&velocity), &[])?.filter(|_| solved.found());
+            let Some(found) = found else {
+                return Ok(solved.finished());
+            };
+            rows = found;
+            self.factorise(gpu, &mut solved.times)?;
+        }
+        let RowSolves { together, form, factor, contact } = self;
+        let schur = match &form.prepared {
+            Some((schur, Prepared::Schur(inverse))) => Some((*schur, inverse)),
+            _ => None,
+        };
+        let Some(factor) = schur.map(|(_, inverse)| &inverse.factor).or(factor.as_ref()) else {
+            solved.report.unsettled = rows.len() as u32;
+            let (outcome, report, times) = solved.finished();
+            return Ok((CoupledOutcome { status: SolveStatus::Breakdown, ..outcome }, report, times));
+        };
+        let mut free = velocity;
+        let later = contact.is_some();
+        match contact {
+            None => *contact = Some(Contact::new(rows, at.coupling.n_nodes, factor, &free)),
+            Some(contact) => {
+                let without: Vec<f64> = contact.lambda.iter().map(|lambda| -lambda).collect();
+                contact.system.add_velocity(&without, &mut free);
+                contact.search.begin_again();
+            }
+        }
+        let contact = contact.as_mut().expect("set above");
+        let aim = aim.map(|aim| Aim { guess: false, ..aim });
+        let nodes = &mut *nodes;
+        let mut round = Round { gpu, together, form, schur, factor, nodes, aim, free, rhs, solved };
+        for meeting in 0.. {
+            let velocity = round.settle(contact, limits.sets)?;
+            let next = rows_of(&contact_rows::three(&velocity), &contact.rows)?;
+            let Some(next) = next.filter(|_| round.solved.found() && meeting < limits.meetings) else {
+                break;
+            };
+            *contact = Contact::new(next, at.coupling.n_nodes, factor, &round.free);
+            if later {
+                contact.search.begin_again();
+            }
+        }
+        if aim.is_some() {
+            // The next round begins without forces of rows.
+            at.solids.rhs.upload(gpu, &round.rhs);
+        }
+        Ok(round.solved.finished())
+    }
+
+    /// S^-1, in a form that needs it. With rows the Schur-complement form is worth more wet nodes: in the other one a set of rows takes several
+    /// solves.
+    fn factorise(&mut self, gpu: &Gpu, times: &mut StageTimes) -> Result<(), Error> {
+        let at = self.form.at;
+        let system = &self.together.outer.system;
+        if let (Some((_, Prepared::Monolithic)), Some(schur)) = (&self.form.prepared, &system.schur) {
+            let (prepared, mut stages) = system.prepare(gpu, Recorder::timed(gpu), at, (schur, schur.room()))?;
+            times.append(&mut stages);
+            self.form.prepared = Some((schur, prepared));
+        }
+        if !self.form.condenses() {
+            let stiffness = system.stiffness.as_ref().expect("made with every solver for contact");
+            self.factor = stiffness.read_and_factorise(gpu, at.solids, at.fields)?;
+        }
+        Ok(())
+    }
+}
+
+impl Round<'_, '_> {
+    /// Solves with one set of held rows after another, until no row is wrong. Returns the last velocities.
+    fn settle(&mut self, contact: &mut Contact, sets: u32) -> Result<Vec<f64>, Error> {
+        let Contact { system, search, lambda, .. } = contact;
+        let mut velocity = self.free.clone();
+        for _ in 0..sets {
+            let Some(held) = system.hold(search.held()) else {
+                self.solved.report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
+                break;
+            };
+            let mut pushed = self.rhs.clone();
+            if let Some(forces) = search.slipping_forces(system) {
+                pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
+            }
+            let missed;
+            (velocity, *lambda, missed) = self.hold(held, &pushed)?;
+            let slipping = search.slipping().to_vec();
+            let (wrong, exchanged) = search.exchange(system, lambda, &velocity);
+            lambda.iter_mut().zip(slipping).for_each(|(lambda, slipping)| *lambda += slipping);
+            self.solved.report.unsettled = (wrong + missed) as u32;
+            if !exchanged || !self.solved.found() {
+                break;
+            }
+        }
+        Ok(velocity)
+    }
+
+    /// Solves with held rows: velocities, forces of the rows, and how many of them are missed. `pushed`: right-hand side without these forces.
+    fn hold(&mut self, held: HeldRows, pushed: &[f64]) -> Result<(Vec<f64>, Vec<f64>, usize), Error> {
+        let at = self.form.at;
+        if let Some((schur, inverse)) = self.schur {
+            let start = contact_rows::prescribed(self.factor, &self.free);
+            let held = HeldSolve::new(self.gpu, held, &start, pushed, &at.solids.rhs);
+            schur.hold(self.gpu, inverse, &held);
+            let velocity = self.solve(Some(&held))?;
+            return Ok((velocity, held.lambda(), 0));
+        }
+        let tolerance = self.aim.map_or(self.together.tolerance(), |aim| aim.tolerance);
+        let mut forces = ForceSearch::new(held, &self.free);
+        loop {
+            let sums = pushed.iter().zip(forces.forces());
+            at.solids.rhs.upload(self.gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
+            let velocity = self.solve(None)?;
+            if !self.solved.found() || !forces.advance(&velocity, tolerance) {
+                let missed = forces.violated(&velocity, tolerance);
+                return Ok((velocity, forces.lambda().to_vec(), missed));
+            }
+        }
+    }
+
+    fn solve(&mut self, held: Option<&HeldSolve>) -> Result<Vec<f64>, Error> {
+        let at = self.form.at;
+        self.solved.add(self.together.solve_form(
+            self.gpu,
+            Recorder::timed(self.gpu),
+            self.form,
+            (true, held),
+            self.aim,
+        )?);
+        let [velocity, _] = self.nodes.read(self.gpu, at.solids, at.fields)?;
+        Ok(velocity)
+    }
+}
