@@ -545,8 +545,8 @@ impl RowSearch {
     }
 
     /// Changes the rows to hold after a solution with forces `lambda` of the held rows, and returns how many were wrong, and whether another solve
-    /// is worth it. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After eight solutions without fewer wrong
-    /// rows the search ends.
+    /// is worth it. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After eight solutions in a row without
+    /// fewer wrong rows the search ends.
     pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64]) -> (usize, bool) {
         let n = system.n();
         let mut lambda = lambda.to_vec();
@@ -580,10 +580,9 @@ impl RowSearch {
         if wrong == 0 {
             return (0, false);
         }
-        if wrong < self.fewest {
-            self.fewest = wrong;
-        } else {
-            self.patience -= 1;
+        match wrong < self.fewest {
+            true => (self.fewest, self.patience) = (wrong, PATIENCE),
+            false => self.patience -= 1,
         }
         self.learn(system, lambda, &slacks);
         let known = products(&self.response, lambda);

@@ -218,9 +218,8 @@ fn solve_in_rows(
     let mut iterations = 0;
     let mut solve = |recorder, round: Option<RowRound>| {
         let rough = round.is_some_and(|round| round.tolerance > together.tolerance());
-        let env = |name: &str, other: u32| std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(other);
         let limits = match rough {
-            true => RowLimits { meetings: env("TOG_MEET", 0), sets: env("TOG_SETS", 1) },
+            true => RowLimits { meetings: 0, sets: 1 },
             false => RowLimits { meetings: MOST_MEETINGS, sets: MOST_COUPLED },
         };
         let (mut outcome, report, mut seconds) = solves.solve(gpu, recorder, round, (&mut rows, limits))?;

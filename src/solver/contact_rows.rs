@@ -15,9 +15,10 @@ use super::schur::Inverse;
 use super::stored_stiffness::{Factor, StoredStiffness};
 use crate::Error;
 use crate::fields::{SolidBuffers, SolidSystemBuffers};
-use crate::gpu::{Gpu, Readback, RealBuffer, Recorder};
+use crate::gpu::{Gpu, Readback, RealBuffer, Recorder, StageTimes};
 use crate::linalg::{HeldRows, Row, UnilateralRows};
 use crate::scene::{Precision, Solver};
+use crate::state::ContactReport;
 
 /// Makes the rows for velocities (m/s, three numbers per node) and rows so far; `None` where the velocities meet all rows.
 pub type RowsOf<'a> = &'a mut dyn FnMut(&[f64], &[Row]) -> Result<Option<Vec<Row>>, Error>;
@@ -67,18 +68,20 @@ impl NodeReadbacks {
         })
     }
 
-    /// Velocities, m/s, and right-hand side, four numbers per node.
+    /// Velocities, m/s, and right-hand side, four numbers per node, after the recording.
     pub(super) fn read(
         &mut self,
         gpu: &Gpu,
+        mut recorder: Recorder,
         solids: &SolidSystemBuffers,
         fields: &SolidBuffers,
-    ) -> Result<[Vec<f64>; 2], Error> {
-        let mut recorder = Recorder::new(gpu);
+    ) -> Result<([Vec<f64>; 2], StageTimes), Error> {
         recorder.read(&fields.velocity.words, &mut self.velocity);
         recorder.read(&solids.rhs.words, &mut self.rhs);
-        recorder.submit();
-        Ok([fields.velocity.widen(&self.velocity.wait(gpu)?), solids.rhs.widen(&self.rhs.wait(gpu)?)])
+        let timing = recorder.submit();
+        let velocity = fields.velocity.widen(&self.velocity.wait(gpu)?);
+        let rhs = solids.rhs.widen(&self.rhs.wait(gpu)?);
+        Ok(([velocity, rhs], timing.wait()?))
     }
 }
 
@@ -97,10 +100,11 @@ pub(super) struct DrySystem {
 
 /// Rows so far, and the first solve without them: velocities, m/s, and right-hand side, N, four numbers per node.
 #[derive(Debug)]
-pub(super) struct DryProgress {
+pub(super) struct DryProgress<'a> {
     rows: Vec<Row>,
     velocity: Vec<f64>,
     rhs: Vec<f64>,
+    factor: Factor<'a>,
 }
 
 impl DrySystem {
@@ -111,35 +115,45 @@ impl DrySystem {
         })
     }
 
-    /// After a solve: writes the forces of the rows to the right-hand side. `None` where the velocities meet them all, or no solve follows, as
-    /// after the `last`; else exchanges of the pivoting, and rows that it left wrong.
-    pub(super) fn push(
-        &self,
+    /// After a solve: writes the forces of the rows to the right-hand side and counts them in the report. Returns whether another solve follows: not
+    /// where the velocities meet all rows, after the `last` one, or where S has no factor.
+    pub(super) fn push<'a>(
+        &'a self,
         gpu: &Gpu,
         (solids, fields): (&SolidSystemBuffers, &SolidBuffers),
         rows_of: RowsOf,
-        (progress, last): (&mut Option<DryProgress>, bool),
-    ) -> Result<Option<[u32; 2]>, Error> {
+        (progress, last): (&mut Option<DryProgress<'a>>, bool),
+        report: &mut ContactReport,
+    ) -> Result<bool, Error> {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        let [velocity, rhs] = nodes.read(gpu, solids, fields)?;
+        let ([velocity, rhs], _) = nodes.read(gpu, Recorder::new(gpu), solids, fields)?;
         let known = progress.as_ref().map_or(&[][..], |before| &before.rows);
         let rows = rows_of(&three(&velocity), known)?;
         let Some(rows) = rows.filter(|_| !last) else {
-            return Ok(None);
+            return Ok(false);
         };
-        let DryProgress { velocity, mut rhs, .. } =
-            progress.take().unwrap_or(DryProgress { rows: Vec::new(), velocity, rhs });
-        *progress = Some(DryProgress { rows: rows.clone(), velocity: velocity.clone(), rhs: rhs.clone() });
-        let Some(factor) = self.stiffness.read_and_factorise(gpu, solids, fields)? else {
-            return Ok(Some([0, rows.len() as u32]));
+        let DryProgress { velocity, rhs, factor, .. } = match progress {
+            Some(progress) => {
+                progress.rows.clone_from(&rows);
+                progress
+            }
+            None => {
+                let Some(factor) = self.stiffness.read_and_factorise(gpu, solids, fields)? else {
+                    report.unsettled = rows.len() as u32;
+                    return Ok(false);
+                };
+                report.solves = 0;
+                progress.insert(DryProgress { rows: rows.clone(), velocity, rhs, factor })
+            }
         };
-        let rows = unilateral(rows, factor.projectors().len(), &factor);
-        let found = rows.solve(&velocity);
-        let forces = rows.forces(&found.z);
-        rhs.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
-        solids.rhs.upload(gpu, &rhs);
-        Ok(Some([found.pivots, found.wrong]))
+        let rows = unilateral(rows, factor.projectors().len(), factor);
+        let found = rows.solve(velocity);
+        report.solves += found.pivots;
+        report.unsettled = found.wrong;
+        let sums = rhs.iter().zip(rows.forces(&found.z));
+        solids.rhs.upload(gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
+        Ok(true)
     }
 }
 

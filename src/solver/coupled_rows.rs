@@ -127,13 +127,14 @@ impl<'a> RowSolves<'a> {
         let nodes = system.nodes.as_ref().map(|nodes| nodes.lock().unwrap_or_else(PoisonError::into_inner));
         let mut nodes = nodes.expect("made with every solver for contact");
         let mut rows = Vec::new();
+        let mut recorder = recorder;
         if self.contact.is_none() {
             let again = aim.is_some_and(|aim| aim.guess);
             solved.add(self.together.solve_form(gpu, recorder, &self.form, (again, None), aim)?);
-        } else {
-            solved.times = recorder.submit().wait()?;
+            recorder = Recorder::new(gpu);
         }
-        let [velocity, rhs] = nodes.read(gpu, at.solids, at.fields)?;
+        let ([velocity, rhs], mut stages) = nodes.read(gpu, recorder, at.solids, at.fields)?;
+        solved.times.append(&mut stages);
         if self.contact.is_none() {
             let found = rows_of(&contact_rows::three(&velocity), &[])?.filter(|_| solved.found());
             let Some(found) = found else {
@@ -210,6 +211,11 @@ impl Round<'_, '_> {
         for _ in 0..sets {
             let Some(held) = system.hold(search.held()) else {
                 self.solved.report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
+                if self.solved.outcome.is_none() {
+                    let none = vec![false; search.held().len()];
+                    let none = system.hold(&none).expect("no row depends on another");
+                    (velocity, *lambda, _) = self.hold(none, &self.rhs.clone())?;
+                }
                 break;
             };
             let mut pushed = self.rhs.clone();
@@ -261,7 +267,7 @@ impl Round<'_, '_> {
             (true, held),
             self.aim,
         )?);
-        let [velocity, _] = self.nodes.read(self.gpu, at.solids, at.fields)?;
+        let ([velocity, _], _) = self.nodes.read(self.gpu, Recorder::new(self.gpu), at.solids, at.fields)?;
         Ok(velocity)
     }
 }

@@ -92,15 +92,11 @@ impl SolidSolver {
         };
         let mut progress = None;
         for meeting in 0.. {
-            let last = meeting > most;
-            let pushed = rows.push(gpu, (buffers, fields), rows_of, (&mut progress, last))?;
-            let Some([solves, unsettled]) = pushed else {
+            let so_far = (&mut progress, meeting > most);
+            if !rows.push(gpu, (buffers, fields), rows_of, so_far, &mut report)? {
                 break;
-            };
-            report.solves = solves + if meeting > 0 { report.solves } else { 0 };
-            report.unsettled = unsettled;
-            let recorder = Recorder::timed(gpu);
-            let (next, mut stages) = self.solve(gpu, recorder, buffers, fields, polynomial)?;
+            }
+            let (next, mut stages) = self.solve(gpu, Recorder::timed(gpu), buffers, fields, polynomial)?;
             times.append(&mut stages);
             outcome = Outcome { iterations: outcome.iterations + next.iterations, ..next };
         }
