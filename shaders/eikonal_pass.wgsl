@@ -1,31 +1,26 @@
 // redistance, one of nine passes: |grad D| = 1, first order, from the smaller neighbour along each axis (Rouy and Tourin
-// 1992). Neighbours are across open faces, in bodies too; beyond closed faces and walls a cell is its own neighbour.
+// 1992). Paths lead through bodies, where the surface continues, but not out of the domain.
 // Distances only decrease from the cap on, so that a quad whose cells and neighbours are at the cap leaves distance_out
 // as it is: at the cap. One thread per quad of the band; cells outside it are at the cap.
-// level, step. band_args, band_list, band_flags: the band. valid: see level_cells. distance_in, distance_out: cells, with
-// a minus where they stay.
+// level. band_args, band_list, band_flags: the band. distance_in, distance_out: cells, with a minus where they stay.
 #import dispatch
 #import lanes
 #import layout
 #import level_values
-#import quad_sides
-#import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> band_args: array<u32>;
-@group(0) @binding(3) var<storage, read> band_list: array<u32>;
-@group(0) @binding(4) var<storage, read> band_flags: array<u32>;
-@group(0) @binding(5) var<storage, read> valid: array<u32>;
-@group(0) @binding(6) var<storage, read> distance_in: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> distance_out: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
+@group(0) @binding(3) var<storage, read> band_flags: array<u32>;
+@group(0) @binding(4) var<storage, read> distance_in: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> distance_out: array<vec4<f32>>;
 
-// The distances in a quad, which may be outside the band.
-fn distances(quad: u32, value: vec4<f32>) -> vec4<f32> {
-    return select(vec4<f32>(REACH), value, band_flags[quad] != 0u);
+// The distances in a quad, which may be outside the band or the domain.
+fn distances(quad: u32, value: vec4<f32>, inside: bool) -> vec4<f32> {
+    return select(vec4<f32>(REACH), value, inside && band_flags[quad] != 0u);
 }
-fn distance(quad: u32, value: f32) -> f32 {
-    return select(REACH, value, band_flags[quad] != 0u);
+fn distance(quad: u32, value: f32, inside: bool) -> f32 {
+    return select(REACH, value, inside && band_flags[quad] != 0u);
 }
 
 fn squares(values: vec4<f32>) -> vec4<f32> {
@@ -67,14 +62,14 @@ fn eikonal_pass(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     if all(nearest >= vec4<f32>(REACH)) {
         return;
     }
-    let sides = cells_across(quad);
-    let x = min(select(here, vec4<f32>(distance(quad - 1u, before), here.xyz), bit_lanes(sides)),
-        select(here, vec4<f32>(here.yzw, distance(quad + 1u, after)), bit_lanes(sides >> 4u)));
-    let along_y = min(select(here, distances(y.x, below), bit_lanes(sides >> 8u)),
-        select(here, distances(y.y, above), bit_lanes(sides >> 12u)));
-    let along_z = min(select(here, distances(z.x, behind), bit_lanes(sides >> 16u)),
-        select(here, distances(z.y, front), bit_lanes(sides >> 20u)));
-    let exists = lanes_inside(quad_cell(level, quad), vec3<i32>(level.cells));
+    let cell = quad_cell(level, quad);
+    let n = vec3<i32>(level.cells);
+    let exists = lanes_inside(cell, n);
+    let own = select(vec4<f32>(REACH), here, exists);
+    let x = min(vec4<f32>(distance(quad - 1u, before, cell.x > 0), own.xyz),
+        vec4<f32>(own.yzw, distance(quad + 1u, after, cell.x + 4 < n.x)));
+    let along_y = min(distances(y.x, below, cell.y > 0), distances(y.y, above, cell.y + 1 < n.y));
+    let along_z = min(distances(z.x, behind, cell.z > 0), distances(z.y, front, cell.z + 1 < n.z));
     let next = select(vec4<f32>(REACH), eikonal(x, along_y, along_z), exists);
     distance_out[quad] = select(next, word, word < vec4<f32>());
 }

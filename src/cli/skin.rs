@@ -22,6 +22,8 @@ pub(super) struct Skin {
 
 /// Vertices farther outside than this share of the solid's length may be those of another mesh.
 const FAR: f64 = 0.1;
+/// Meshes shorter than this share of it may have other units.
+const SMALL: f64 = 0.5;
 
 fn pair(text: &str) -> Result<(String, PathBuf), String> {
     let (solid, file) = text.split_once('=').ok_or_else(|| "write SOLID=FILE, such as crate=crate.obj".to_owned())?;
@@ -47,12 +49,14 @@ impl Skin {
                 report.frames,
                 report.animation.map_or_else(String::new, |path| format!(", {}", path.display()))
             );
-            if report.farthest > FAR * report.size {
-                warn!(
-                    "warning: the skin of {name} reaches {:.3} m out of its tetrahedra; is it in the units and axes of the solid's mesh file?",
-                    report.farthest
-                );
-            }
+            let doubt = if report.farthest > FAR * report.size {
+                format!("reaches {:.3} m out of its tetrahedra", report.farthest)
+            } else if report.length < SMALL * report.size {
+                format!("is {:.3} m long, the solid {:.3} m", report.length, report.size)
+            } else {
+                continue;
+            };
+            warn!("warning: the skin of {name} {doubt}; is it in the units and axes of the solid's mesh file?");
         }
         Ok(())
     }

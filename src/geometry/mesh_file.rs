@@ -103,7 +103,7 @@ impl From<Fault> for Problem {
 
 pub(super) fn load(file: &Path) -> Result<Vec<u8>, Error> {
     fs::read(file).map_err(|problem| {
-        let cure = "give the path of a readable mesh file, relative to the scene file";
+        let cure = "give the path of a readable mesh file: in a scene relative to its folder, in a command to the working directory";
         Problem::new(problem.to_string(), cure).in_file(file)
     })
 }

@@ -523,8 +523,8 @@ impl RowSearch {
         }
     }
 
-    /// Goes on after f has changed for another reason than lambda.
-    pub fn begin_again(&mut self) {
+    /// Resumes after a change of f that lambda did not cause: earlier solutions no longer count.
+    pub fn resume(&mut self) {
         self.last = None;
         (self.fewest, self.patience) = (usize::MAX, PATIENCE);
     }
@@ -582,7 +582,7 @@ impl RowSearch {
         }
         match wrong < self.fewest {
             true => (self.fewest, self.patience) = (wrong, PATIENCE),
-            false => self.patience -= 1,
+            false => self.patience = self.patience.saturating_sub(1),
         }
         self.learn(system, lambda, &slacks);
         let known = products(&self.response, lambda);

@@ -10,6 +10,7 @@
 mod animation;
 
 use std::collections::HashMap;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
@@ -52,10 +53,12 @@ pub struct SkinReport {
     pub farthest: f64,
     /// Longest side of the solid at rest, m.
     pub size: f64,
+    /// Longest side of the mesh at rest, m.
+    pub length: f64,
 }
 
-/// Writes the skins of all solids and the obstacles of a run. `progress` is called with the number of finished and of all frames, those of the liquid
-/// apart.
+/// Writes the skins of all solids and the obstacles of a run. `progress` is called with the number of finished and of all frames; those of the
+/// liquid count separately.
 ///
 /// # Errors
 /// [`Error::Input`] for a folder or mesh that does not serve, with the cure.
@@ -68,11 +71,12 @@ pub fn skins(
     let folder = run.join("frames");
     let name = &manifest.scene.name;
     let refuse = |problem: String, cure: String| Err(Error::input(run.display().to_string(), problem, cure));
+    let surfaces = manifest.solid_frames || manifest.obstacles;
     let of_liquid = match obj {
-        true => liquid_files(&folder, &manifest),
+        true => liquid_files(&folder, &manifest, surfaces)?,
         false => Vec::new(),
     };
-    if !manifest.solid_frames && !manifest.obstacles && of_liquid.is_empty() {
+    if !surfaces && of_liquid.is_empty() {
         let cure = "run a scene with solids and output.solids on, or with obstacles; --obj also writes liquid";
         return refuse("the run has no frames of solids, and no obstacles".to_owned(), cure.to_owned());
     }
@@ -95,6 +99,20 @@ pub fn skins(
         );
     }
     let numbers = &manifest.progress.frames_written;
+    let file = |frame: u64| folder.join(format!("{name}_{frame:06}.vtu"));
+    let mut skins = Vec::new();
+    let mut first = None;
+    if manifest.solid_frames {
+        let Some(&number) = numbers.first() else {
+            return refuse("the run has no frame yet".to_owned(), "let `cutwater run` write a frame first".to_owned());
+        };
+        let frame = first.insert(Frame::read(&file(number))?);
+        for (number, solid) in manifest.solids.iter().enumerate() {
+            let given = files.iter().find(|(name, _)| *name == solid.name);
+            let given = given.map(|(_, file)| file.as_path());
+            skins.push(Skin::new(frame, number, given, solid.placed)?);
+        }
+    }
     let mut reports = Vec::new();
     if manifest.obstacles {
         reports.push(obstacles(&folder, name, (numbers, *obj))?);
@@ -103,20 +121,9 @@ pub fn skins(
     if !of_liquid.is_empty() {
         reports.push(liquid(&folder, &manifest, &of_liquid, &mut |done| progress(done, n_frames))?);
     }
-    if !manifest.solid_frames {
+    let Some(first) = first else {
         return Ok(reports);
-    }
-    let file = |frame: u64| folder.join(format!("{name}_{frame:06}.vtu"));
-    let Some(&first) = numbers.first() else {
-        return refuse("the run has no frame yet".to_owned(), "let `cutwater run` write a frame first".to_owned());
     };
-    let mut skins = Vec::new();
-    let first = Frame::read(&file(first))?;
-    for (number, solid) in manifest.solids.iter().enumerate() {
-        let given = files.iter().find(|(name, _)| *name == solid.name);
-        let given = given.map(|(_, file)| file.as_path());
-        skins.push(Skin::new(&first, number, given, solid.placed)?);
-    }
     let mut animations: Vec<Animation> = skins.iter().map(|_| Animation::default()).collect();
     for (done, &number) in numbers.iter().enumerate() {
         progress(of_liquid.len() + done, n_frames);
@@ -153,24 +160,30 @@ pub fn skins(
             animation: Some(path),
             farthest: skin.embedding.farthest,
             size: skin.size,
+            length: skin.length,
         });
     }
     Ok(reports)
 }
 
-/// Writes the `.ply` file, and on request the `.obj` file beside it.
+/// Writes the `.ply` file, and on request the `.obj` file beside it; without, an earlier one is removed.
 fn write(path: &Path, mesh: &ShadedMesh, obj: bool) -> Result<(), Error> {
     ply::write(path, mesh)?;
+    let text = path.with_extension("obj");
     match obj {
-        true => obj::write(&path.with_extension("obj"), mesh),
+        true => obj::write(&text, mesh),
+        false if text.exists() => fs::remove_file(&text).map_err(|problem| Error::unwritten(&text, &problem)),
         false => Ok(()),
     }
 }
 
-/// The files of the frames that show the surface of the liquid; none where the run writes no frames.
-fn liquid_files(folder: &Path, manifest: &Manifest) -> Vec<(u64, PathBuf)> {
-    let files = frame_files(folder, manifest).into_iter().flatten();
-    files.filter_map(|(number, files)| Some((number, files.liquid?))).collect()
+/// The files of the frames that show the surface of the liquid. A run without frames is an error unless there are `others`.
+fn liquid_files(folder: &Path, manifest: &Manifest, others: bool) -> Result<Vec<(u64, PathBuf)>, Error> {
+    let files = match frame_files(folder, manifest) {
+        Err(_) if others => return Ok(Vec::new()),
+        files => files?.into_iter(),
+    };
+    Ok(files.filter_map(|(number, files)| Some((number, files.liquid?))).collect())
 }
 
 /// Writes the surface of the liquid as `.obj`. `progress` is called with the number of finished frames.
@@ -253,6 +266,7 @@ struct Skin {
     /// Vertices of one group share their normal: those at one place, with equal normals in the file if that has normals.
     group: Vec<u32>,
     size: f64,
+    length: f64,
 }
 
 impl Skin {
@@ -288,7 +302,9 @@ impl Skin {
             let cure = "give a mesh in the units and axes of the solid's own mesh file";
             return Err(Error::input(file.display().to_string(), problem, cure));
         }
-        Ok(Skin { embedding, group: groups(&mesh), texture: mesh.texture, triangles: mesh.triangles, size })
+        let [low, high] = bounds(mesh.vertices.iter().copied());
+        let length = (high - low).max_element();
+        Ok(Skin { embedding, group: groups(&mesh), texture: mesh.texture, triangles: mesh.triangles, size, length })
     }
 
     /// Unit normals, area-weighted over the triangles of each group.

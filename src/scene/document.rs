@@ -131,7 +131,13 @@ impl Node {
             }
             (Step::Key(name), Content::Array(items)) => {
                 let problem = format!("`{key}` is a list of {}", items.len());
-                let cure = format!("select an entry: {key}[0].{name}");
+                let names: Vec<&str> = items.iter().filter_map(Node::label).collect();
+                let cure = match names.is_empty() {
+                    true => format!("select an entry: {key}[0].{name}"),
+                    false => {
+                        format!("select an entry by its number, such as {key}[0], or by its name: {}", names.join(", "))
+                    }
+                };
                 // The longest name, since names may have points.
                 let mut found = None;
                 let mut label = name;

@@ -98,7 +98,7 @@ pub(super) struct DrySystem {
     nodes: Mutex<NodeReadbacks>,
 }
 
-/// Rows so far, and the first solve without them: velocities, m/s, and right-hand side, N, four numbers per node.
+/// Rows so far, the first solve without them (velocities, m/s, and right-hand side, N, four numbers per node), and the factor of S.
 #[derive(Debug)]
 pub(super) struct DryProgress<'a> {
     rows: Vec<Row>,
@@ -115,8 +115,8 @@ impl DrySystem {
         })
     }
 
-    /// After a solve: writes the forces of the rows to the right-hand side and counts them in the report. Returns whether another solve follows: not
-    /// where the velocities meet all rows, after the `last` one, or where S has no factor.
+    /// After a solve: writes the forces of the rows to the right-hand side, and fills the report. Returns true if another solve follows: rows are
+    /// violated, this was not the `last` solve, and S has a factor.
     pub(super) fn push<'a>(
         &'a self,
         gpu: &Gpu,

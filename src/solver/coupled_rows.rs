@@ -1,6 +1,6 @@
 //! Coupled solves of a sub-step in which solids touch each other (twin: reference/contact_rows.rs).
 //!
-//! The rows, those of them that are held, and what is known of their response stay from one round of separation to the next.
+//! Rows, held rows and the learned response persist between the rounds of separation.
 
 use std::sync::PoisonError;
 
@@ -38,6 +38,8 @@ pub(crate) struct RowLimits {
 pub(crate) struct RowSolves<'a> {
     together: &'a CoupledSolver,
     form: CorrectionForm<'a>,
+    /// Whether the Schur-complement form was prepared for the rows, with the wet nodes of a round.
+    upgraded: bool,
     /// S^-1, where the form has none.
     factor: Option<Factor<'a>>,
     /// `None` until solids touch.
@@ -50,16 +52,28 @@ struct Contact {
     rows: Vec<Row>,
     system: UnilateralRows,
     search: RowSearch,
-    /// Forces of the rows in the last solve, N.
+    /// Forces of the rows in the last solve, N; empty before the first.
     lambda: Vec<f64>,
+    /// Whether the rows are those of a rough round.
+    rough: bool,
 }
 
 impl Contact {
     /// `free`: velocities without the forces of rows, m/s, four numbers per node.
-    fn new(rows: Vec<Row>, n_nodes: usize, factor: &Factor, free: &[f64]) -> Contact {
+    fn new(rows: Vec<Row>, n_nodes: usize, factor: &Factor, free: &[f64], rough: bool) -> Contact {
         let system = contact_rows::unilateral(rows.clone(), n_nodes, factor);
         let search = RowSearch::new(&system, free);
-        Contact { rows, lambda: Vec::new(), system, search }
+        Contact { rows, lambda: Vec::new(), system, search, rough }
+    }
+
+    /// Takes the rows of a precise round in place of those of a rough one. The search goes on where their number is the same.
+    fn renew(&mut self, rows: Vec<Row>, n_nodes: usize, factor: &Factor, free: &[f64]) {
+        let mut next = Contact::new(rows, n_nodes, factor, free, false);
+        if next.search.held().len() == self.search.held().len() {
+            next.search = self.search.clone();
+        }
+        next.search.resume();
+        *self = next;
     }
 }
 
@@ -90,7 +104,7 @@ struct Solved {
 }
 
 impl Solved {
-    fn found(&self) -> bool {
+    fn is_solved(&self) -> bool {
         self.outcome.is_some_and(|outcome| outcome.status.is_best_attainable())
     }
 
@@ -108,7 +122,7 @@ impl Solved {
 
 impl<'a> RowSolves<'a> {
     pub(crate) fn new(together: &'a CoupledSolver, form: CorrectionForm<'a>) -> RowSolves<'a> {
-        RowSolves { together, form, factor: None, contact: None }
+        RowSolves { together, form, upgraded: false, factor: None, contact: None }
     }
 
     /// Solves under the rows, without them until solids touch. The recording ends with the system of the round.
@@ -132,18 +146,21 @@ impl<'a> RowSolves<'a> {
             let again = aim.is_some_and(|aim| aim.guess);
             solved.add(self.together.solve_form(gpu, recorder, &self.form, (again, None), aim)?);
             recorder = Recorder::new(gpu);
+        } else if self.upgraded {
+            self.factorise(gpu, recorder, &mut solved.times)?;
+            recorder = Recorder::new(gpu);
         }
         let ([velocity, rhs], mut stages) = nodes.read(gpu, recorder, at.solids, at.fields)?;
         solved.times.append(&mut stages);
         if self.contact.is_none() {
-            let found = rows_of(&contact_rows::three(&velocity), &[])?.filter(|_| solved.found());
+            let found = rows_of(&contact_rows::three(&velocity), &[])?.filter(|_| solved.is_solved());
             let Some(found) = found else {
                 return Ok(solved.finished());
             };
             rows = found;
-            self.factorise(gpu, &mut solved.times)?;
+            self.factorise(gpu, Recorder::timed(gpu), &mut solved.times)?;
         }
-        let RowSolves { together, form, factor, contact } = self;
+        let RowSolves { together, form, factor, contact, .. } = self;
         let schur = match &form.prepared {
             Some((schur, Prepared::Schur(inverse))) => Some((*schur, inverse)),
             _ => None,
@@ -153,29 +170,38 @@ impl<'a> RowSolves<'a> {
             let (outcome, report, times) = solved.finished();
             return Ok((CoupledOutcome { status: SolveStatus::Breakdown, ..outcome }, report, times));
         };
-        let mut free = velocity;
+        let n_nodes = at.coupling.n_nodes;
+        let rough = limits.meetings == 0;
+        let mut free = velocity.clone();
         let later = contact.is_some();
         match contact {
-            None => *contact = Some(Contact::new(rows, at.coupling.n_nodes, factor, &free)),
+            None => *contact = Some(Contact::new(rows, n_nodes, factor, &free, rough)),
             Some(contact) => {
                 let without: Vec<f64> = contact.lambda.iter().map(|lambda| -lambda).collect();
                 contact.system.add_velocity(&without, &mut free);
-                contact.search.begin_again();
+                contact.search.resume();
+                if contact.rough
+                    && !rough
+                    && let Some(rows) = rows_of(&contact_rows::three(&free), &[])?
+                {
+                    contact.renew(rows, n_nodes, factor, &free);
+                }
             }
         }
         let contact = contact.as_mut().expect("set above");
         let aim = aim.map(|aim| Aim { guess: false, ..aim });
         let nodes = &mut *nodes;
         let mut round = Round { gpu, together, form, schur, factor, nodes, aim, free, rhs, solved };
+        let mut velocity = velocity;
         for meeting in 0.. {
-            let velocity = round.settle(contact, limits.sets)?;
+            velocity = round.iterate_active_set(contact, limits.sets, velocity)?;
             let next = rows_of(&contact_rows::three(&velocity), &contact.rows)?;
-            let Some(next) = next.filter(|_| round.solved.found() && meeting < limits.meetings) else {
+            let Some(next) = next.filter(|_| round.solved.is_solved() && meeting < limits.meetings) else {
                 break;
             };
-            *contact = Contact::new(next, at.coupling.n_nodes, factor, &round.free);
+            *contact = Contact::new(next, n_nodes, factor, &round.free, rough);
             if later {
-                contact.search.begin_again();
+                contact.search.resume();
             }
         }
         if aim.is_some() {
@@ -185,17 +211,18 @@ impl<'a> RowSolves<'a> {
         Ok(round.solved.finished())
     }
 
-    /// S^-1, in a form that needs it. With rows the Schur-complement form is worth more wet nodes: in the other one a set of rows takes several
-    /// solves.
-    fn factorise(&mut self, gpu: &Gpu, times: &mut StageTimes) -> Result<(), Error> {
+    /// S^-1, in a form that needs it, after the recording. With rows the Schur-complement form is worth more wet nodes: in the other one a set of
+    /// rows takes several solves. Its wet nodes are those of a round.
+    fn factorise(&mut self, gpu: &Gpu, recorder: Recorder, times: &mut StageTimes) -> Result<(), Error> {
         let at = self.form.at;
         let system = &self.together.outer.system;
-        if let (Some((_, Prepared::Monolithic)), Some(schur)) = (&self.form.prepared, &system.schur) {
-            let (prepared, mut stages) = system.prepare(gpu, Recorder::timed(gpu), at, (schur, schur.room()))?;
+        self.upgraded |= matches!(self.form.prepared, Some((_, Prepared::Monolithic)));
+        if let Some(schur) = system.schur.as_ref().filter(|_| self.upgraded) {
+            let (prepared, mut stages) = system.prepare(gpu, recorder, at, (schur, schur.room()))?;
             times.append(&mut stages);
             self.form.prepared = Some((schur, prepared));
         }
-        if !self.form.condenses() {
+        if !self.form.condenses() && self.factor.is_none() {
             let stiffness = system.stiffness.as_ref().expect("made with every solver for contact");
             self.factor = stiffness.read_and_factorise(gpu, at.solids, at.fields)?;
         }
@@ -204,14 +231,18 @@ impl<'a> RowSolves<'a> {
 }
 
 impl Round<'_, '_> {
-    /// Solves with one set of held rows after another, until no row is wrong. Returns the last velocities.
-    fn settle(&mut self, contact: &mut Contact, sets: u32) -> Result<Vec<f64>, Error> {
+    /// Solves with one set of held rows after another, until no row is wrong. Returns the last velocities, given those on the device.
+    fn iterate_active_set(
+        &mut self,
+        contact: &mut Contact,
+        sets: u32,
+        mut velocity: Vec<f64>,
+    ) -> Result<Vec<f64>, Error> {
         let Contact { system, search, lambda, .. } = contact;
-        let mut velocity = self.free.clone();
         for _ in 0..sets {
             let Some(held) = system.hold(search.held()) else {
                 self.solved.report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
-                if self.solved.outcome.is_none() {
+                if self.solved.outcome.is_none() || lambda.is_empty() {
                     let none = vec![false; search.held().len()];
                     let none = system.hold(&none).expect("no row depends on another");
                     (velocity, *lambda, _) = self.hold(none, &self.rhs.clone())?;
@@ -228,7 +259,7 @@ impl Round<'_, '_> {
             let (wrong, exchanged) = search.exchange(system, lambda, &velocity);
             lambda.iter_mut().zip(slipping).for_each(|(lambda, slipping)| *lambda += slipping);
             self.solved.report.unsettled = (wrong + missed) as u32;
-            if !exchanged || !self.solved.found() {
+            if !exchanged || !self.solved.is_solved() {
                 break;
             }
         }
@@ -251,7 +282,7 @@ impl Round<'_, '_> {
             let sums = pushed.iter().zip(forces.forces());
             at.solids.rhs.upload(self.gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
             let velocity = self.solve(None)?;
-            if !self.solved.found() || !forces.advance(&velocity, tolerance) {
+            if !self.solved.is_solved() || !forces.advance(&velocity, tolerance) {
                 let missed = forces.violated(&velocity, tolerance);
                 return Ok((velocity, forces.lambda().to_vec(), missed));
             }

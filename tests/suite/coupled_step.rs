@@ -71,6 +71,60 @@ fn accelerations(reference: &Reference, before: &[[f64; 3]]) -> [f64; 2] {
     [mean.length(), largest].map(|v| v / (DT * GRAVITY))
 }
 
+/// Water on an elastic plate, from the start or after a fall of a half or a whole cell: it comes to rest, and the plate carries its weight. A
+/// surface that stayed in the plate made the water lose 4 to 17 % of its volume, and opened as gaps with bursts of 1 m/s.
+#[test]
+fn water_on_an_elastic_plate_comes_to_rest() {
+    for bottom in [0.2, 0.206, 0.21, 0.22] {
+        let scene = scene(&format!(
+            "[domain]
+size = [0.4, 0.4, 1]
+cells = [20, 20, 2]
+slab = \"z\"
+[time]
+duration = 2
+[[liquid.region]]
+box = {{ min = [0, {bottom}, 0], max = [0.4, 0.34, 1] }}
+[[solid]]
+name = \"plate\"
+mesh = {{ box = {{ size = [0.4, 0.04, 1], cells = [20, 4, 2] }} }}
+placement = {{ at = [0.2, 0.18, 0.5] }}
+density = 1200
+young = 2e6
+poisson = 0.3
+damping.mass = 15
+[[solid.pin]]
+region = {{ box = {{ min = [0, 0, 0], max = [0.001, 0.4, 1] }} }}
+[[solid.pin]]
+region = {{ box = {{ min = [0.399, 0, 0], max = [0.4, 0.4, 1] }} }}
+"
+        ));
+        let mut reference = reference_path(&scene).unwrap();
+        // Of the slab, which is as thick as two cells.
+        let start = reference.state().volume_0;
+        let mut dropped = 0;
+        while reference.state().time < 2.0 {
+            let time_step = reference.next_time_step();
+            let report = reference.step(time_step).unwrap();
+            let liquid = report.liquid.unwrap();
+            dropped += liquid.dropped;
+            // The control of the volume lets it differ by half a per cent, and takes out what fills a gap of half a cell at the start.
+            let (volume, time) = (liquid.diagnosis.volume, reference.state().time);
+            let change = volume / start - 1.0;
+            assert!(change > -0.006 && (change < 0.006 || time < 1.0), "{bottom}: {volume} of {start} at {time} s");
+            if reference.state().time > 1.5 {
+                let speed = liquid.diagnosis.max_speed;
+                assert!(speed < 0.03, "{bottom}: {speed} m/s");
+                let weight = 1000.0 * GRAVITY * volume;
+                let coupling = report.coupling.unwrap();
+                let load = -coupling.force[1] - coupling.correction[1];
+                assert!((load / weight - 1.0).abs() < 3e-3, "{bottom}: {load} of {weight} N");
+            }
+        }
+        assert_eq!(dropped, 0, "{bottom}");
+    }
+}
+
 /// A block that is as heavy as its liquid stays at rest. What is left are apertures that `area_clamp` closes: of a node's force that share
 /// at most, of the sum over some hundred nodes, whose signs differ, a tenth of it.
 #[test]

@@ -485,7 +485,7 @@ fn searches_learn_how_velocities_respond() {
             if round > 0 {
                 // As separation changes f, with the rows and their response kept.
                 f.iter_mut().for_each(|f| *f += random.uniform(-0.2, 0.2));
-                search.begin_again();
+                search.resume();
             }
             let free = velocity(&f, &[0.0; N]);
             let wanted = velocity(&f, &truth.forces(&truth.solve(&free).z));

@@ -5,8 +5,8 @@ use cutwater::geometry::{CutCells, ObstacleCut, initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
     Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level, advect_level_markers,
-    advect_velocity_maccormack, balance, bound_level, excess, extrapolate_with_slope, face_mass, filter_level,
-    first_markers, interpolant_part, land, landing_faces, largest_shift, liquid_components, marker_band,
+    advect_velocity_maccormack, balance, bound_level, excess, extend_level, extrapolate_with_slope, face_mass,
+    filter_level, first_markers, interpolant_part, land, landing_faces, largest_shift, liquid_components, marker_band,
     marker_weights, occupancy, open_volumes, redistance, spray, take_landing, thin_liquid, volume_shift,
 };
 use cutwater::scene::Scene;
@@ -183,6 +183,48 @@ fn bounds_move_a_level_that_markers_contradict_alone() {
             }
         }
     }
+}
+
+/// Liquid above a body with its top at 5.8 cells. A surface that liquid left in the body goes, one that continues from outside stays, and so does
+/// a film too thin for the cell above the body.
+#[test]
+fn redistance_leaves_no_surface_in_a_body_that_liquid_has_met() {
+    let grid = grid([12, 20, 4]);
+    let mut cut = without_bodies(&grid);
+    let wide = |x: DVec3| (x.x - 6.0).abs() < 4.0;
+    let body = |x: DVec3| (5.8 - x.y).min(4.0 - (x.x - 6.0).abs());
+    cut.solid_distance = field(&grid, |x| DX * -body(x));
+    let half = |axis: Axis| 0.5 * DVec3::AXES[axis.index()];
+    for axis in Axis::ALL {
+        for face in 0..grid.n_faces(axis) {
+            let x = grid.face_centre(axis, grid.face_at(axis, face)) / DX;
+            if body(x + 1e-3 * half(axis)) > 0.0 {
+                cut.open[axis.index()][face] = 0.0;
+            }
+        }
+    }
+    let cells = LevelCells { grid: &grid, cut: &cut };
+    let redistanced = |f: &dyn Fn(DVec3) -> f64| {
+        let mut level = field(&grid, |x| f(x).clamp(-5.0, 5.0));
+        extend_level(&grid, &cut, &mut level);
+        redistance(cells, &[], &level)
+    };
+    let at = |i: usize, j: usize| grid.cell([i, j, 1]);
+    let centre = |j: usize| j as f64 + 0.5;
+    // Below the body there is air as far as paths reach, and the surface above is far.
+    let hidden = |x: DVec3| if wide(x) || x.y > 5.8 { 5.2 - x.y } else { -5.0 };
+    let after = redistanced(&hidden);
+    assert!((6..9).all(|j| after[at(6, j)] < -4.0), "{:?}", (6..9).map(|j| after[at(6, j)]).collect::<Vec<_>>());
+    // The surface of a pool in which the body stands continues into it.
+    let pool = |x: DVec3| x.y - 5.2;
+    let after = redistanced(&pool);
+    for j in 3..8 {
+        close(after[at(1, j)], centre(j) - 5.2, 0.05);
+    }
+    // A film of 0.4 cells on the body.
+    let film = |x: DVec3| x.y - 6.2;
+    let after = redistanced(&film);
+    close(after[at(6, 6)], 0.3, 0.05);
 }
 
 #[test]
