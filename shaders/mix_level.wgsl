@@ -1,4 +1,4 @@
-// redistance, after the passes: the level where it is small, and the distance is or it is air beside a body, else the distance with its sign. Sets
+// redistance, after the passes: the level where it is small, and the distance is or the cell is in a body or air beside it, else the distance with its sign. Sets
 // cells in bodies that no pass of the extension reached to air. One thread per quad of the band.
 // step. band_args, band_list: the band. solid_distance: m. distances: cells, see start_redistance. new_level: cells, in place. mixed: cells,
 // out.
@@ -36,7 +36,8 @@ fn mix_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
     }
     let distance = abs(distances[quad]);
     let of_bodies = solid_distance[min(quad, arrayLength(&solid_distance) - 1u)];
+    let extended = of_bodies < vec4<f32>();
     let air_at_body = (phi >= vec4<f32>()) & (of_bodies < vec4<f32>(NEAR * step.dx));
-    let near = ((distance < vec4<f32>(NEAR)) | air_at_body) & (abs(phi) < vec4<f32>(FAR));
+    let near = ((distance < vec4<f32>(NEAR)) | extended | air_at_body) & (abs(phi) < vec4<f32>(FAR));
     mixed[quad] = select(select(distance, -distance, phi < vec4<f32>()), phi, near);
 }

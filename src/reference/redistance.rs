@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! (a) |D| = |phi| at interface cells; elsewhere |grad D| = 1, first order (Rouy and Tourin 1992), nine Jacobi passes
-//! (b) f = phi where |phi| < 3.5, and |D| < 2.5 or it is air beside a body, else D
+//! (b) f = phi where |phi| < 3.5, and |D| < 2.5 or the cell is in a body or air beside it, else D
 //! (c) where |f| < 2.5, not at the interface:  f -= 0.4 sign(f) (|grad f| - 1)    Godunov's gradient, one step
 //! ```
 //!
@@ -51,8 +51,10 @@ pub fn redistance(cells: LevelCells, separated: &[f64], level: &[f64]) -> Vec<f6
     let distance = distance(cells, leaves_wall, level);
     let mixed = |cell: usize| {
         let (phi, d) = (level[cell], distance[cell]);
-        let air_at_body = phi >= 0.0 && cells.cut.solid_distance[cell] < NEAR * cells.grid.dx;
-        let near = d.abs() < NEAR || air_at_body;
+        let body = cells.cut.solid_distance[cell];
+        let extended = body < 0.0;
+        let air_at_body = phi >= 0.0 && body < NEAR * cells.grid.dx;
+        let near = d.abs() < NEAR || extended || air_at_body;
         if near && phi.abs() < FAR { phi } else { d }
     };
     let mixed: Vec<f64> = (0..level.len()).map(mixed).collect();
