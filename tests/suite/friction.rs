@@ -481,7 +481,7 @@ fn searches_learn_how_velocities_respond() {
         let velocity =
             |f: &[f64], force: &[f64]| solve(&both, f.iter().zip(force).map(|(f, force)| f + force).collect());
         let mut search = RowSearch::new(&system, &velocity(&f, &[0.0; N]));
-        for round in 0..2 {
+        for (round, sets) in sets.iter_mut().enumerate() {
             if round > 0 {
                 // As separation changes f, with the rows and their response kept.
                 f.iter_mut().for_each(|f| *f += random.uniform(-0.2, 0.2));
@@ -490,7 +490,7 @@ fn searches_learn_how_velocities_respond() {
             let free = velocity(&f, &[0.0; N]);
             let wanted = velocity(&f, &truth.forces(&truth.solve(&free).z));
             let found = loop {
-                sets[round] += 1;
+                *sets += 1;
                 let mut forces = ForceSearch::new(system.hold(search.held()).unwrap(), &free);
                 let mut solves = 0;
                 let found = loop {
