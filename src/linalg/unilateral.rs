@@ -149,7 +149,8 @@ impl UnilateralRows {
         UnilateralRows { rows, rubbing, columns, matrix, size }
     }
 
-    fn n(&self) -> usize {
+    /// Number of rows, tangential ones too.
+    pub fn n(&self) -> usize {
         self.rows.len()
     }
 

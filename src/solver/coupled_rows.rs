@@ -66,14 +66,17 @@ impl Contact {
         Contact { rows, lambda: Vec::new(), system, search, rough }
     }
 
-    /// Takes the rows of a precise round in place of those of a rough one. The search goes on where their number is the same.
-    fn renew(&mut self, rows: Vec<Row>, n_nodes: usize, factor: &Factor, free: &[f64]) {
-        let mut next = Contact::new(rows, n_nodes, factor, free, false);
-        if next.search.held().len() == self.search.held().len() {
-            next.search = self.search.clone();
+    /// Takes the tangents of a precise round in place of those of a rough one, where the rows are the same otherwise.
+    fn renew(&mut self, rows: Vec<Row>, n_nodes: usize, factor: &Factor) {
+        let same = |(a, b): (&Row, &Row)| a.entries == b.entries && a.least == b.least;
+        let rubs = self.rows.iter().any(|row| row.friction.is_some());
+        if rubs && rows.len() == self.rows.len() && rows.iter().zip(&self.rows).all(same) {
+            let system = contact_rows::unilateral(rows.clone(), n_nodes, factor);
+            if system.n() == self.system.n() {
+                (self.rows, self.system) = (rows, system);
+            }
         }
-        next.search.resume();
-        *self = next;
+        self.rough = false;
     }
 }
 
@@ -184,7 +187,7 @@ impl<'a> RowSolves<'a> {
                     && !rough
                     && let Some(rows) = rows_of(&contact_rows::three(&free), &[])?
                 {
-                    contact.renew(rows, n_nodes, factor, &free);
+                    contact.renew(rows, n_nodes, factor);
                 }
             }
         }
