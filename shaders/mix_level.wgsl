@@ -1,5 +1,5 @@
-// redistance, after the passes: the level where it is small, and the distance is or the cell is in a body or air beside it, else the distance with its sign. Sets
-// cells in bodies that no pass of the extension reached to air. One thread per quad of the band.
+// redistance, after the passes: the level where it is small, and the distance is or the cell is in a body or air beside it, else the distance
+// with its sign. Sets cells in bodies that no pass of the extension reached to air. One thread per quad of the band.
 // step. band_args, band_list: the band. solid_distance: m. distances: cells, see start_redistance. new_level: cells, in place. mixed: cells,
 // out.
 #import dispatch

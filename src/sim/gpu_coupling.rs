@@ -16,8 +16,7 @@ use crate::linalg::Row;
 use crate::reference::{MOST_COUPLED, MOST_MEETINGS};
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
-    CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, RowLimits, RowRound, RowSolves, Weak,
-    WeakBuffers,
+    Aim, CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, RowLimits, RowSolves, Weak, WeakBuffers,
 };
 use crate::stages;
 use crate::stages::{OpenFaces, PatchPressure, Seal};
@@ -197,8 +196,7 @@ impl CouplingStages {
     }
 }
 
-/// Solves under the rows of solids that touch each other, with separation in rounds. While the separated cells change, a round tries one set of
-/// rows. The recording starts the solve. `displacement` of all nodes, m.
+/// Solves under the rows of solids that touch each other, with separation in rounds. The recording starts the solve. `displacement` of all nodes, m.
 fn solve_in_rows(
     (gpu, recorder): (&Gpu, Recorder),
     together: &CoupledSolver,
@@ -216,13 +214,9 @@ fn solve_in_rows(
     let mut solves = RowSolves::new(together, form);
     let mut contact = ContactReport::default();
     let mut iterations = 0;
-    let mut solve = |recorder, round: Option<RowRound>| {
-        let rough = round.is_some_and(|round| round.tolerance > together.tolerance());
-        let limits = match rough {
-            true => RowLimits { meetings: 0, sets: 1 },
-            false => RowLimits { meetings: MOST_MEETINGS, sets: MOST_COUPLED },
-        };
-        let (mut outcome, report, mut seconds) = solves.solve(gpu, recorder, round, (&mut rows, limits))?;
+    let limits = RowLimits { meetings: MOST_MEETINGS, sets: MOST_COUPLED };
+    let mut solve = |recorder, aim: Option<Aim>| {
+        let (mut outcome, report, mut seconds) = solves.solve(gpu, recorder, aim, (&mut rows, limits))?;
         times.append(&mut seconds);
         contact = ContactReport { solves: contact.solves + report.solves, ..report };
         iterations += outcome.iterations;
@@ -233,8 +227,8 @@ fn solve_in_rows(
         None => solve(recorder, None)?,
         Some(rounds) => {
             let (outcome, restoring) = rounds.search(recorder, |recorder, round, _| {
-                let round = RowRound { tolerance: round.tolerance, guess: round.number > 1 };
-                Ok((solve(recorder, Some(round))?, false))
+                let aim = Aim { tolerance: round.tolerance, guess: round.number > 1 };
+                Ok((solve(recorder, Some(aim))?, false))
             })?;
             restoring.submit();
             outcome

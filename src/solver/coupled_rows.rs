@@ -15,16 +15,7 @@ use super::refine::Aim;
 use super::schur::{Inverse, Prepared, Schur};
 use super::stored_stiffness::Factor;
 
-/// A round of separation.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct RowRound {
-    /// Relative tolerance of both residuals.
-    pub(crate) tolerance: f64,
-    /// Whether velocities, and the correction of potentials in the buffers, are a guess.
-    pub(crate) guess: bool,
-}
-
-/// Most solves of a round.
+/// Most solves of a precise round.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RowLimits {
     /// Times that rows of meetings join.
@@ -128,17 +119,19 @@ impl<'a> RowSolves<'a> {
         RowSolves { together, form, upgraded: false, factor: None, contact: None }
     }
 
-    /// Solves under the rows, without them until solids touch. The recording ends with the system of the round.
+    /// Solves under the rows, without them until solids touch. The recording ends with the system of the round. A round of separation has an `aim`; where
+    /// this is rough, it tries one set of rows, and none join.
     pub(crate) fn solve(
         &mut self,
         gpu: &Gpu,
         recorder: Recorder,
-        round: Option<RowRound>,
+        aim: Option<Aim>,
         (rows_of, limits): (RowsOf, RowLimits),
     ) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
         let at = self.form.at;
         let system = &self.together.outer.system;
-        let aim = round.map(|RowRound { tolerance, guess }| Aim { tolerance, guess });
+        let rough = aim.is_some_and(|aim| aim.tolerance > self.together.tolerance());
+        let limits = if rough { RowLimits { meetings: 0, sets: 1 } } else { limits };
         let mut solved = Solved::default();
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let nodes = system.nodes.as_ref().map(|nodes| nodes.lock().unwrap_or_else(PoisonError::into_inner));
@@ -174,7 +167,6 @@ impl<'a> RowSolves<'a> {
             return Ok((CoupledOutcome { status: SolveStatus::Breakdown, ..outcome }, report, times));
         };
         let n_nodes = at.coupling.n_nodes;
-        let rough = limits.meetings == 0;
         let mut free = velocity.clone();
         let later = contact.is_some();
         match contact {

@@ -221,11 +221,11 @@ pub(super) struct HostResidual {
 
 /// Accuracy and start of a solve.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Aim {
+pub(crate) struct Aim {
     /// Bound of |r| relative to the right-hand side.
-    pub(super) tolerance: f64,
+    pub(crate) tolerance: f64,
     /// Whether the solve starts from the correction as it stands, unless zero is better.
-    pub(super) guess: bool,
+    pub(crate) guess: bool,
 }
 
 /// The solve of a system.
