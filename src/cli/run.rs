@@ -13,7 +13,7 @@ use crate::output::checkpoint::Checkpoint;
 use crate::output::frames::FrameKinds;
 use crate::output::manifest::Tally;
 use crate::output::preview::{Pictures, PreviewOptions};
-use crate::scene::{MAX_FRAMES, Scene};
+use crate::scene::{MAX_FRAMES, Scene, Surface};
 use crate::sim::{self, Options, Summary};
 use indicatif::ProgressBar;
 
@@ -211,7 +211,9 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
             tally.squeezed
         )
     });
-    warn_if(tally.dropped > 0, &|| {
+    // Beside a level, markers that bodies push out are replaced.
+    let surface_of_markers = scene.liquid.as_ref().is_some_and(|liquid| liquid.surface == Surface::Markers);
+    warn_if(surface_of_markers && tally.dropped > 0, &|| {
         format!(
             "{} markers, {:.2} % of all, were lost in obstacles or solids: walls are thinner than two cells, or solids too fast; use more cells (--scale) or shorter sub-steps (time.cfl); steps.csv lists the sub-steps",
             tally.dropped,

@@ -12,7 +12,7 @@ use crate::scene::{MeshFile, Obstacle, Placement, Scene, Shape, box_reaches};
 /// A mesh longer than this many domains is probably in another unit: 1 m is 39 in, 100 cm or 1000 mm.
 const OTHER_UNIT: f64 = 20.0;
 
-const UNIT_CURE: &str = "is it in mm? then write units = \"mm\" beside its file (\"cm\" and \"in\" are units too), else \
+const UNIT_CURE: &str = "is it in mm or cm? then write units = \"mm\" or \"cm\" beside its file (\"in\" is a unit too), else \
                          shrink it with placement.scale";
 
 /// The closed surface of a file (m) with coordinates in `unit` (m).

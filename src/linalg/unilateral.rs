@@ -508,6 +508,20 @@ pub struct RowSearch {
     response: Vec<f64>,
     fewest: usize,
     patience: u32,
+    /// The set whose solution misses the rows least since the start or the last change of f, and whether it is that of the last solution.
+    best: Option<Missing>,
+    best_is_last: bool,
+}
+
+/// A solution that misses rows.
+#[derive(Clone, Debug)]
+struct Missing {
+    held: Vec<bool>,
+    slipping: Vec<f64>,
+    /// Rows that are wrong.
+    wrong: usize,
+    /// Largest velocity by which one is: a violation, or what a pull or a friction beyond its bound causes alone.
+    velocity: f64,
 }
 
 impl RowSearch {
@@ -521,13 +535,22 @@ impl RowSearch {
             response: Vec::new(),
             fewest: usize::MAX,
             patience: PATIENCE,
+            best: None,
+            best_is_last: false,
         }
     }
 
     /// Resumes after a change of f that lambda did not cause: earlier solutions no longer count.
     pub fn resume(&mut self) {
-        self.last = None;
+        (self.last, self.best) = (None, None);
         (self.fewest, self.patience) = (usize::MAX, PATIENCE);
+    }
+
+    /// At the end of a search: returns to the rows whose solution missed them least, and returns how many it missed; `None` where it was the last.
+    pub fn return_to_best(&mut self) -> Option<usize> {
+        let best = self.best.take_if(|_| !self.best_is_last)?;
+        (self.held, self.slipping) = (best.held, best.slipping);
+        Some(best.wrong)
     }
 
     /// Rows that are held.
@@ -577,9 +600,22 @@ impl RowSearch {
             }
         };
         let [normal, rubbing] = [(0..n_normal).filter(wrong).count(), (n_normal..n).filter(rubs_wrong).count()];
+        let velocity = |i: usize| match self.held[i] {
+            true if i < n_normal => -lambda[i] * system.matrix[n * i + i],
+            false if i < n_normal => -slacks[i],
+            _ => (lambda[i].abs() - most[i]).abs() * system.matrix[n * i + i],
+        };
+        let missing = (0..n_normal).filter(wrong).chain((n_normal..n).filter(rubs_wrong));
+        let velocity = missing.map(velocity).fold(0.0, f64::max);
         let wrong = normal + rubbing;
         if wrong == 0 {
+            self.best_is_last = true;
             return (0, false);
+        }
+        self.best_is_last = self.best.as_ref().is_none_or(|best| velocity < best.velocity);
+        if self.best_is_last {
+            let (held, slipping) = (self.held.clone(), self.slipping.clone());
+            self.best = Some(Missing { held, slipping, wrong, velocity });
         }
         match wrong < self.fewest {
             true => (self.fewest, self.patience) = (wrong, PATIENCE),
@@ -598,6 +634,7 @@ impl RowSearch {
         };
         let violated = (0..n_normal).any(|i| !self.held[i] && slacks[i] < -tolerance);
         if found.wrong == 0 && !violated && effect <= f64::max(tolerance, lag) {
+            self.best_is_last = true;
             return (0, false);
         }
         if found.wrong > 0 {

@@ -261,6 +261,13 @@ pub fn refined(
             "add --set time.fixed_step=0.01, the sub-step at scale 1 in s, or leave --steps away: time.cfl is measured in cells",
         ));
     }
+    if scene.liquid.is_none() && !steps && !elements {
+        return Err(Error::input(
+            "--scales",
+            "the scene has no liquid, and cells alone refine nothing of its solids",
+            "add --elements, --steps or both",
+        ));
+    }
     if elements {
         if scene.solids.is_empty() {
             return Err(Error::input("--elements", "the scene has no [[solid]]", "leave it away"));

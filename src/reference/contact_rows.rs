@@ -300,7 +300,7 @@ pub(super) fn solve_coupled_in_rows(
     let (system, solution) = together.solve(solid, None)?;
     let mut report = ContactReport { solves: 1, ..ContactReport::default() };
     let free = solution.velocity.as_flattened().to_vec();
-    let mut known = Vec::new();
+    let (mut known, mut unsettled) = (Vec::new(), 0);
     let mut best = (system, solution);
     for meetings in 0.. {
         let found_all = best.1.reports[0].status.is_best_attainable();
@@ -312,16 +312,15 @@ pub(super) fn solve_coupled_in_rows(
             break;
         }
         known.clone_from(&rows);
-        let n = rows.len() as u32;
+        let n = rows.len();
         let Some(rows) = unilateral(together.solver, solid, rows)? else {
-            report.unsettled += n;
+            unsettled += n;
             break;
         };
         let mut search = RowSearch::new(&rows, &free);
-        for _ in 0..MOST_COUPLED {
+        let mut hold = |search: &RowSearch| -> Result<_, Error> {
             let Some(held) = rows.hold(search.held()) else {
-                report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
-                break;
+                return Ok(None);
             };
             let mut pushed = solid.clone();
             if let Some(forces) = search.slipping_forces(&rows) {
@@ -329,19 +328,32 @@ pub(super) fn solve_coupled_in_rows(
             }
             let (mut system, solution) = together.solve(&pushed, Some(&held))?;
             report.solves += 1;
-            let v = solution.velocity.as_flattened();
             // G_F S^-1 (F + J^T p - S v) is what the rows lack at this pressure.
             let lambda = held.cancelling(&system.unbalanced(&solution));
             system.push(&held.forces(&lambda));
+            Ok(Some((lambda, (system, solution))))
+        };
+        for _ in 0..MOST_COUPLED {
+            let Some((lambda, solved)) = hold(&search)? else {
+                unsettled = search.held().iter().filter(|held| **held).count();
+                break;
+            };
+            let solution = &solved.1;
             let found_all = solution.reports[0].status.is_best_attainable();
-            let (wrong, exchanged) = search.exchange(&rows, &lambda, v);
-            report.unsettled = wrong as u32;
-            best = (system, solution);
+            let exchanged;
+            (unsettled, exchanged) = search.exchange(&rows, &lambda, solution.velocity.as_flattened());
+            best = solved;
             if !exchanged || !found_all {
                 break;
             }
         }
+        if let Some(wrong) = search.return_to_best()
+            && let Some((_, solved)) = hold(&search)?
+        {
+            (best, unsettled) = (solved, wrong);
+        }
     }
+    report.unsettled += unsettled as u32;
     let (system, solution) = best;
     touching.shorten(solution.velocity.as_flattened(), &mut report);
     Ok((system, solution, report))

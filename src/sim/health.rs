@@ -4,7 +4,7 @@
 use crate::Error;
 use crate::elastic::Solids;
 use crate::output::manifest::{SolidHealth, Tally};
-use crate::scene::{Keyframe, LoadKind, Scene, Shape};
+use crate::scene::{Keyframe, LoadKind, Scene, Shape, Surface};
 use crate::state::{State, StepReport};
 
 /// A solid is sound above this fraction of its rest volume, with at most this fraction of its elements inverted.
@@ -225,6 +225,8 @@ fn expected_speed(scene: &Scene) -> Option<f64> {
 pub(super) struct Health {
     keep_going: bool,
     expected_speed: Option<f64>,
+    /// Whether the surface is that of the markers. Beside a level, markers that bodies push out are replaced.
+    surface_of_markers: bool,
 }
 
 /// Numbers of a sub-step that decide on notices.
@@ -239,7 +241,12 @@ pub(super) struct Now<'a> {
 
 impl Health {
     pub(super) fn new(scene: &Scene, keep_going: bool) -> Health {
-        Health { keep_going, expected_speed: scene.liquid.as_ref().and_then(|_| expected_speed(scene)) }
+        let liquid = scene.liquid.as_ref();
+        Health {
+            keep_going,
+            expected_speed: liquid.and_then(|_| expected_speed(scene)),
+            surface_of_markers: liquid.is_some_and(|liquid| liquid.surface == Surface::Markers),
+        }
     }
 
     /// Counts signs of failure in the liquid. Returns a line for each sign that occurs for the first time.
@@ -283,7 +290,7 @@ impl Health {
         let before = tally.lost_share();
         tally.dropped += liquid.dropped;
         tally.markers = tally.markers.max(liquid.markers as u64 + tally.dropped);
-        if before < LOST && tally.lost_share() >= LOST {
+        if self.surface_of_markers && before < LOST && tally.lost_share() >= LOST {
             notices.push(format!(
                 "at {time:.4} s {:.1} % of all markers are lost in obstacles and solids (steps.csv, markers_dropped): they enter walls thinner than two cells and fast or collapsing solids. Use more cells (--scale) or shorter sub-steps (time.cfl)",
                 100.0 * tally.lost_share()

@@ -33,7 +33,7 @@ pub fn warnings(scene: &Scene) -> Result<Vec<String>, Error> {
     }
     for (key, length) in geometry::large_meshes(scene)? {
         warnings.push(format!(
-            "{key} is {} m long, the domain {} m: is it in mm? Then write units = \"mm\" beside its file",
+            "{key} is {} m long, the domain {} m: is it in mm or cm? Then write units = \"mm\" or \"cm\" beside its file",
             rounded(length),
             scene.domain.size.max_element()
         ));

@@ -83,6 +83,14 @@ impl NodeReadbacks {
         let rhs = solids.rhs.widen(&self.rhs.wait(gpu)?);
         Ok(([velocity, rhs], timing.wait()?))
     }
+
+    /// The velocities alone.
+    pub(super) fn read_velocity(&mut self, gpu: &Gpu, fields: &SolidBuffers) -> Result<Vec<f64>, Error> {
+        let mut recorder = Recorder::new(gpu);
+        recorder.read(&fields.velocity.words, &mut self.velocity);
+        recorder.submit();
+        Ok(fields.velocity.widen(&self.velocity.wait(gpu)?))
+    }
 }
 
 /// Three of each four numbers.

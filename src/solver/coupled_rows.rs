@@ -89,6 +89,17 @@ struct Round<'a, 'b> {
     solved: Solved,
 }
 
+/// Solution with a set of held rows.
+#[derive(Debug)]
+struct SetSolution {
+    /// m/s, four numbers per node.
+    velocity: Vec<f64>,
+    /// Forces of the held rows, N.
+    lambda: Vec<f64>,
+    /// How many held rows it misses.
+    missed: usize,
+}
+
 /// Result of the solves of a round so far.
 #[derive(Debug, Default)]
 struct Solved {
@@ -226,50 +237,65 @@ impl<'a> RowSolves<'a> {
 }
 
 impl Round<'_, '_> {
-    /// Solves with one set of held rows after another, until no row is wrong. Returns the last velocities, given those on the device.
+    /// Solves with one set of held rows after another, until no row is wrong, at the end with the best of them. Returns the last velocities, given
+    /// those on the device.
     fn iterate_active_set(
         &mut self,
         contact: &mut Contact,
         sets: u32,
         mut velocity: Vec<f64>,
     ) -> Result<Vec<f64>, Error> {
-        let Contact { system, search, lambda, .. } = contact;
         for _ in 0..sets {
-            let Some(held) = system.hold(search.held()) else {
-                self.solved.report.unsettled = search.held().iter().filter(|held| **held).count() as u32;
-                if self.solved.outcome.is_none() || lambda.is_empty() {
-                    let none = vec![false; search.held().len()];
-                    let none = system.hold(&none).expect("no row depends on another");
-                    (velocity, *lambda, _) = self.hold(none, &self.rhs.clone())?;
+            let Some(solved) = self.solve_set(contact)? else {
+                self.solved.report.unsettled = contact.search.held().iter().filter(|held| **held).count() as u32;
+                if self.solved.outcome.is_none() || contact.lambda.is_empty() {
+                    let none = vec![false; contact.system.n()];
+                    let none = contact.system.hold(&none).expect("no row depends on another");
+                    let solved = self.hold(none, &self.rhs.clone())?;
+                    (velocity, contact.lambda) = (solved.velocity, solved.lambda);
                 }
                 break;
             };
-            let mut pushed = self.rhs.clone();
-            if let Some(forces) = search.slipping_forces(system) {
-                pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
-            }
-            let missed;
-            (velocity, *lambda, missed) = self.hold(held, &pushed)?;
-            let slipping = search.slipping().to_vec();
-            let (wrong, exchanged) = search.exchange(system, lambda, &velocity);
-            lambda.iter_mut().zip(slipping).for_each(|(lambda, slipping)| *lambda += slipping);
-            self.solved.report.unsettled = (wrong + missed) as u32;
+            velocity = solved.velocity;
+            let (wrong, exchanged) = contact.search.exchange(&contact.system, &solved.lambda, &velocity);
+            self.solved.report.unsettled = (wrong + solved.missed) as u32;
             if !exchanged || !self.solved.is_solved() {
                 break;
             }
         }
+        if let Some(wrong) = contact.search.return_to_best()
+            && let Some(solved) = self.solve_set(contact)?
+        {
+            velocity = solved.velocity;
+            self.solved.report.unsettled = (wrong + solved.missed) as u32;
+        }
         Ok(velocity)
     }
 
-    /// Solves with held rows: velocities, forces of the rows, and how many of them are missed. `pushed`: right-hand side without these forces.
-    fn hold(&mut self, held: HeldRows, pushed: &[f64]) -> Result<(Vec<f64>, Vec<f64>, usize), Error> {
+    /// Solves with the rows that the search holds; `None` where they are dependent to rounding.
+    fn solve_set(&mut self, contact: &mut Contact) -> Result<Option<SetSolution>, Error> {
+        let Contact { system, search, lambda, .. } = contact;
+        let Some(held) = system.hold(search.held()) else {
+            return Ok(None);
+        };
+        let mut pushed = self.rhs.clone();
+        if let Some(forces) = search.slipping_forces(system) {
+            pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
+        }
+        let solved = self.hold(held, &pushed)?;
+        lambda.clone_from(&solved.lambda);
+        lambda.iter_mut().zip(search.slipping()).for_each(|(lambda, slipping)| *lambda += slipping);
+        Ok(Some(solved))
+    }
+    /// Solves with held rows. `pushed`: right-hand side without their forces.
+    fn hold(&mut self, held: HeldRows, pushed: &[f64]) -> Result<SetSolution, Error> {
         let at = self.form.at;
         if let Some((schur, inverse)) = self.schur {
             let start = contact_rows::prescribed(self.factor, &self.free);
             let held = HeldSolve::new(self.gpu, held, &start, pushed, &at.solids.rhs);
             schur.hold(self.gpu, inverse, &held);
             let velocity = self.solve(Some(&held))?;
-            return Ok((velocity, held.lambda(), 0));
+            return Ok(SetSolution { velocity, lambda: held.lambda(), missed: 0 });
         }
         let tolerance = self.aim.map_or(self.together.tolerance(), |aim| aim.tolerance);
         let mut forces = ForceSearch::new(held, &self.free);
@@ -279,7 +305,7 @@ impl Round<'_, '_> {
             let velocity = self.solve(None)?;
             if !self.solved.is_solved() || !forces.advance(&velocity, tolerance) {
                 let missed = forces.violated(&velocity, tolerance);
-                return Ok((velocity, forces.lambda().to_vec(), missed));
+                return Ok(SetSolution { velocity, lambda: forces.lambda().to_vec(), missed });
             }
         }
     }
@@ -293,7 +319,6 @@ impl Round<'_, '_> {
             (true, held),
             self.aim,
         )?);
-        let ([velocity, _], _) = self.nodes.read(self.gpu, Recorder::new(self.gpu), at.solids, at.fields)?;
-        Ok(velocity)
+        self.nodes.read_velocity(self.gpu, at.fields)
     }
 }

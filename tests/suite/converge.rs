@@ -96,6 +96,7 @@ fn studies_that_cannot_be_are_refused() {
         (&dam, "--steps", &["--steps", "neither time.fixed_step", "--set time.fixed_step"]),
         (&dam, "--elements", &["--elements", "no [[solid]]"]),
         (&blind, "", &["has no probe", "[[probe]]"]),
+        (&bar, "", &["--scales", "no liquid", "--elements"]),
     ] {
         let told = complains(folder, &format!("converge dam.toml --backend cpu {options}"), 2);
         for part in parts {

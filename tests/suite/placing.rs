@@ -193,12 +193,15 @@ fn plans_refuse_places_as_runs_do() {
         (solid(&fill(mm), "at = [0.38, 0.2, 0.2]"), &["solid[0]", "starts outside the domain"]),
         (
             cone(&fill(wrong), "at = [0.2, 0.2, 0.2]"),
-            &["solid[0]", "160 m long, the domain 0.4 m", "is it in mm?", "units = \"mm\""],
+            &["solid[0]", "160 m long, the domain 0.4 m", "is it in mm or cm?", "units = \"mm\""],
         ),
         (obstacle(m, "at = [0.2, 0.2, 0.6]"), &["obstacle[0]", "lies outside the domain", "placement.at"]),
-        (obstacle(wrong, "at = [0.2, 0.2, -100]"), &["obstacle[0]", "lies outside the domain", "is it in mm?"]),
+        (obstacle(wrong, "at = [0.2, 0.2, -100]"), &["obstacle[0]", "lies outside the domain", "is it in mm or cm?"]),
         (region(m, "at = [0.2, 0.2, 0.6]"), &["liquid.region[1]", "lies outside the domain", "placement.at"]),
-        (region(wrong, "translate = [100, 0, 0]"), &["liquid.region[1]", "lies outside the domain", "is it in mm?"]),
+        (
+            region(wrong, "translate = [100, 0, 0]"),
+            &["liquid.region[1]", "lies outside the domain", "is it in mm or cm?"],
+        ),
         (cone(&fill(mm), "at = [0.2, 0.2, 0.2]") + block, &["solid[0]", "deep in obstacle[1], with its node at [0."]),
         (solid(&fill(mm), "at = [0.2, 0.2, 0.2]") + block, &["solid[0]", "deep in obstacle[1]", "[[solid.pin]]"]),
         (
@@ -242,7 +245,7 @@ fn large_meshes_are_asked_after_their_unit() {
     // Its base lies at z = -1 m, so it fills the whole domain.
     let filled = with_cone(&ground("file = \"cone.obj\"", "translate = [0.2, 0.2, -1]"));
     let told = complains(&filled, "plan dam.toml --backend cpu", 2);
-    for part in ["obstacle[0] is 160 m long, the domain 0.4 m: is it in mm?", "no cell of"] {
+    for part in ["obstacle[0] is 160 m long, the domain 0.4 m: is it in mm or cm?", "no cell of"] {
         assert!(told.contains(part), "{told}\nhas no {part}");
     }
     warns(&ground("file = \"cone.obj\", units = \"mm\"", "at = [0.2, 0.2, 0.2]"), &[]);

@@ -37,15 +37,29 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// Surface of the scenes that name none: `--surface`, by default that of the published rows, markers.
-pub(crate) static SURFACE: OnceLock<String> = OnceLock::new();
+/// `--set KEY=VALUE` of the command line.
+pub(crate) static SETTINGS: OnceLock<Vec<String>> = OnceLock::new();
 
-/// The override of the surface in a scene of liquid that names none. Separation needs markers.
-fn surface_of(text: &str) -> Option<String> {
-    let names = |key: &str| text.lines().any(|line| line.trim_start().trim_start_matches("liquid.").starts_with(key));
-    let free = text.contains("[[liquid.region]]") && !names("surface") && !names("separation");
-    let surface = SURFACE.get().map_or("markers", String::as_str);
-    free.then(|| format!("liquid.surface={surface}"))
+/// Overrides of a scene for keys that its text does not name: `--set`, and the surface of the published rows, markers. Keys of the liquid are for scenes
+/// with regions of it. Separation needs markers.
+pub(crate) fn settings_of(text: &str) -> Vec<String> {
+    let given = SETTINGS.get().into_iter().flatten().map(String::as_str);
+    let last = |setting: &str| setting.split('=').next().and_then(|key| key.rsplit('.').next()).map(str::to_owned);
+    let named = |key: &str| {
+        let of_line = |line: &str| line.split('=').next().and_then(|name| name.trim().rsplit('.').next()) == Some(key);
+        text.lines().any(of_line)
+    };
+    let mut settings: Vec<String> = Vec::new();
+    for setting in given.chain(["liquid.surface=markers"]) {
+        let key = last(setting).unwrap_or_default();
+        let of_liquid = setting.starts_with("liquid.") || key == "pressure_on_patches";
+        let fits = !of_liquid || text.contains("[[liquid.region]]");
+        let free = !named(&key) && !(key == "surface" && named("separation"));
+        if fits && free && !settings.iter().any(|before| last(before).as_deref() == Some(&key)) {
+            settings.push(setting.to_owned());
+        }
+    }
+    settings
 }
 
 /// A scene of `scenes/`, with overrides.
@@ -53,7 +67,7 @@ pub(crate) fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
     let path = file(&format!("scenes/{name}.toml"));
     let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
     let text = format!("{text}\n{}", overrides.join("\n"));
-    let overrides = overrides.iter().map(|&text| text.to_owned()).chain(surface_of(&text)).collect::<Vec<_>>();
+    let overrides = overrides.iter().map(|&text| text.to_owned()).chain(settings_of(&text)).collect::<Vec<_>>();
     Scene::load(&path, &overrides, scale).unwrap_or_else(|error| panic!("{error}"))
 }
 
@@ -61,8 +75,7 @@ pub(crate) fn written(text: &str) -> Scene {
     let folder = tempfile::tempdir().expect("a folder for the scene");
     let path = folder.path().join("case.toml");
     fs::write(&path, text).expect("the scene is written");
-    let surface: Vec<String> = surface_of(text).into_iter().collect();
-    Scene::load(&path, &surface, 1.0).unwrap_or_else(|error| panic!("{error}"))
+    Scene::load(&path, &settings_of(text), 1.0).unwrap_or_else(|error| panic!("{error}"))
 }
 
 pub(crate) fn simulation(scene: &Scene, backend: &Backend) -> Simulation {

@@ -6,7 +6,7 @@
 //! make validate ARGS=--full         # all cases
 //! make validate CASES="S2 S9/f64"   # cases of any class whose id contains one of these
 //! make validate ARGS=--resume       # resumes a stopped run
-//! make validate ARGS="--surface level" CASES=F    # with another surface of the liquid
+//! make validate ARGS="--set liquid.surface=level" CASES=F    # with another value of a key
 //! ```
 //!
 //! A case is a function that fills a [`Sheet`] with rows: quantity, expected and computed value, bound. Each topic has a file that
@@ -172,8 +172,8 @@ struct Options {
     resume: bool,
     publish: bool,
     jobs: usize,
-    /// Surface of the liquid in cases that name none.
-    surface: Option<String>,
+    /// `KEY=VALUE`, for scenes that do not name the key.
+    settings: Vec<String>,
     /// The most expensive class that runs.
     class: Class,
     /// Parts of ids.
@@ -187,7 +187,7 @@ impl Options {
             resume: false,
             publish: false,
             jobs: std::thread::available_parallelism().map_or(1, usize::from),
-            surface: None,
+            settings: Vec::new(),
             class: Class::Default,
             filters: Vec::new(),
         };
@@ -203,22 +203,21 @@ impl Options {
                     Some(Ok(number)) if number > 0 => options.jobs = number,
                     _ => return Err("--jobs needs a number of cases to run at once".into()),
                 },
-                "--surface" => match arguments.next() {
-                    Some(name) if ["markers", "level"].contains(&name.as_str()) => options.surface = Some(name),
-                    _ => return Err("--surface needs markers or level".into()),
+                "--set" => match arguments.next() {
+                    Some(setting) if setting.contains('=') => options.settings.push(setting),
+                    _ => return Err("--set needs KEY=VALUE, such as liquid.surface=level".into()),
                 },
                 option if option.starts_with('-') => {
                     return Err(format!(
-                        "no option {option}: use --quick, --full, --list, --resume, --publish, --jobs N, --surface NAME, then parts of ids"
+                        "no option {option}: use --quick, --full, --list, --resume, --publish, --jobs N, --set KEY=VALUE, then parts of ids"
                     ));
                 }
                 _ => options.filters.push(argument),
             }
         }
-        if options.surface.is_some() && (options.publish || options.resume) {
+        if !options.settings.is_empty() && (options.publish || options.resume) {
             return Err(
-                "--surface is about other rows than those published and stored: leave --publish and --resume away"
-                    .into(),
+                "--set is about other rows than those published and stored: leave --publish and --resume away".into()
             );
         }
         // A case that is named runs whatever it costs.
@@ -299,9 +298,7 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         classes(cost::sums(cases.iter().map(|case| (case.id.as_str(), before(case)))))
     );
     let start = Instant::now();
-    if let Some(surface) = &options.surface {
-        liquid::SURFACE.get_or_init(|| surface.clone());
-    }
+    liquid::SETTINGS.get_or_init(|| options.settings.clone());
     let store = ResultStore::new(&sheet::folder(), &machine)?;
     if !options.resume {
         store.remove_others()?;
