@@ -17,14 +17,16 @@
 @group(0) @binding(7) var<storage, read> component_volume: array<f32>;
 @group(0) @binding(8) var<storage, read_write> liquid_distance: array<vec4<f32>>;
 
-// Part of the target within which nothing moves, as in reference/volume_shift.rs.
+// Constants of reference/volume_shift.rs. Part of the target within which nothing moves.
 const DEAD_BAND = 0.005;
+// Least area, cells.
+const LEAST_AREA = 1e-4;
 
 // Shift of a component, cells.
 fn shift_of(label: u32) -> f32 {
     let volume = component_sums[label];
     let area = value_of(areas[label]);
-    if (volume.y & SURFACE) == 0u || area <= 0.0 {
+    if (volume.y & SURFACE) == 0u || area <= LEAST_AREA {
         return 0.0;
     }
     let goal = component_volume[label];

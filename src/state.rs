@@ -51,6 +51,8 @@ pub struct State {
     pub separated: Vec<bool>,
     /// Target liquid volume, m^3, including inflow and outflow. With `surface = "level"` it includes the spray.
     pub volume_0: f64,
+    /// Volume of the liquid that filled each cavity of a solid for the first time, m^3; 0 before. Empty without liquid.
+    pub cavity_volume: Vec<f64>,
     /// Displacement of the nodes of all solids from rest, m; on the device a sum of two f32.
     pub displacement: Vec<[f64; 3]>,
     /// Velocity of the nodes of all solids, m/s.
@@ -133,6 +135,7 @@ impl State {
             ballistic: vec![false; grid.n_cells()],
             separated: Vec::new(),
             volume_0: 0.0,
+            cavity_volume: Vec::new(),
             displacement: Vec::new(),
             node_velocity: Vec::new(),
         }

@@ -4,6 +4,7 @@
 //! state is the displacement from rest (m) and the velocity (m/s) per node.
 
 mod bounds;
+mod cavities;
 mod element;
 mod incidence;
 mod loads;
@@ -13,6 +14,7 @@ mod script;
 mod solids;
 
 pub use bounds::Bounds;
+pub use cavities::Cavities;
 pub use element::{
     Deformation, energy_density, forces, lame_parameters, rest_shape, stiffness_block, stress, von_mises,
 };

@@ -19,7 +19,7 @@ use crate::grid::{Axis, Grid};
 use crate::state::{Carried, State};
 
 /// Version of the names and meanings of the arrays.
-const FORMAT: u64 = 5;
+const FORMAT: u64 = 6;
 
 /// State of a run at one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -143,6 +143,7 @@ fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A:
     with.marks("ballistic", &cells, &mut state.ballistic)?;
     with.marks("separated", &cells, &mut state.separated)?;
     with.number("volume_0", &mut state.volume_0)?;
+    with.numbers("cavity_volume", &[None], &mut state.cavity_volume)?;
     with.vectors("displacement", nodes, &mut state.displacement)?;
     with.vectors("node_velocity", nodes, &mut state.node_velocity)?;
 

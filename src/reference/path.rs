@@ -8,7 +8,7 @@ use super::step::{StepSystem, SubStep};
 use super::{BlockPattern, SolidSolver, StepLimits, TimeStep, max_speed, prepare};
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::Solids;
+use crate::elastic::{Cavities, Solids};
 use crate::geometry::{ContactField, CutCells, ObstacleCut, SolidClip, SourcesAndSinks};
 use crate::grid::{Axis, Grid};
 use crate::scene::Scene;
@@ -41,6 +41,8 @@ pub(super) struct Model {
 #[derive(Clone, Debug)]
 pub(super) struct SolidModel {
     pub(super) solids: Solids,
+    /// None without liquid.
+    pub(super) cavities: Cavities,
     pub(super) pattern: Arc<BlockPattern>,
     pub(super) solver: SolidSolver,
 }
@@ -80,6 +82,7 @@ impl Reference {
             true => Boundary::Moving(Box::new(SolidClip::new(&grid, obstacles, &scene.solver))),
         };
         let solid = effects.solids.then(|| SolidModel {
+            cavities: Cavities::in_liquid(scene, &solids),
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
             solids,

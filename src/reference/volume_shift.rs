@@ -18,6 +18,8 @@ use crate::grid::Grid;
 pub(super) const DEAD_BAND: f64 = 0.005;
 /// Largest shift in a sub-step, cells. Twice that erases films thinner than a cell.
 const LARGEST: f64 = 0.04;
+/// Least A_k, cells: a smaller surface is rounding.
+const LEAST_AREA: f64 = 1e-4;
 /// Courant number above which the largest shift grows with its square.
 const LONG: f64 = 3.0;
 
@@ -46,7 +48,7 @@ pub fn volume_shift(
         let lacks = volume_0[k] - components.volume[k];
         let dead = DEAD_BAND * volume_0[k].abs();
         let lacks = lacks.signum() * (lacks.abs() - dead).max(0.0);
-        match components.enclosed[k] || area[k] <= 0.0 {
+        match components.enclosed[k] || area[k] <= LEAST_AREA * grid.cell_volume() {
             true => 0.0,
             false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-largest, largest),
         }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::elastic::Cavities;
 use crate::fields;
 use crate::fields::{
     ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, REPORT_WORDS, SolidStep, SolverBuffers,
@@ -13,13 +14,13 @@ use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
 use crate::linalg::Row;
-use crate::reference::{MOST_COUPLED, MOST_MEETINGS};
+use crate::reference::{MOST_COUPLED, MOST_MEETINGS, cavity_rate};
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
     Aim, CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, RowLimits, RowSolves, Weak, WeakBuffers,
 };
 use crate::stages;
-use crate::stages::{OpenFaces, PatchPressure, Seal};
+use crate::stages::{FilledCavities, OpenFaces, PatchPressure, Seal};
 use crate::state::{ContactReport, CouplingReport, SeparationReport, SolveStatus, State};
 use crate::step::Stage;
 
@@ -49,6 +50,9 @@ pub(super) enum ClipTime {
 pub(super) struct GpuCoupling {
     /// Clipping of the present solids and obstacles.
     pub(super) clip: SolidClip,
+    pub(super) cavities: Cavities,
+    /// Their volumes, m^3.
+    cavity_volumes: Vec<f64>,
     capacity: Capacity,
     on_device: ClipBuffers,
     buffers: CouplingBuffers,
@@ -67,6 +71,8 @@ pub(super) struct GpuCoupling {
 pub(super) struct CouplingReadbacks {
     report: Readback<u32>,
     components: Readback<u32>,
+    /// Where solids have some.
+    cavities: Option<Readback<u32>>,
 }
 
 /// Whether liquid and solids touch, read back before the solve.
@@ -93,6 +99,8 @@ pub(super) struct CouplingStages {
     pub(super) clip: Dispatches,
     pub(super) move_solid: Dispatches,
     pub(super) closed_components: Seal,
+    /// Where solids have some.
+    pub(super) filled_cavities: Option<FilledCavities>,
     pub(super) patch_pressure: Option<PatchPressure>,
     scheme: Scheme,
     /// With separation.
@@ -159,7 +167,7 @@ impl CouplingStages {
         scene: &Scene,
         liquid: &GpuLiquid,
         solids: &GpuSolids,
-        (on_device, buffers): (&ClipBuffers, &CouplingBuffers),
+        (on_device, buffers, cavities): (&ClipBuffers, &CouplingBuffers, &Cavities),
         weak: Option<&WeakBuffers>,
     ) -> Result<CouplingStages, Error> {
         let fields = &solids.buffers;
@@ -183,12 +191,18 @@ impl CouplingStages {
         };
         let patch_pressure = Effects::of(scene).patch_correction.then(patch_pressure);
         let patch_pressure = patch_pressure.transpose()?;
+        let filled_cavities = || {
+            let tables = (&liquid.buffers, &liquid.solver, buffers);
+            FilledCavities::new(gpu, tables, cavities.of_node(), cavities.len())
+        };
+        let filled_cavities = (!cavities.is_empty()).then(filled_cavities).transpose()?;
         let correction = patch_pressure.as_ref().map(|patches| &patches.correction);
         Ok(CouplingStages {
             clip: stages::clip(gpu, &liquid.buffers, on_device)?,
             move_solid: stages::wet_bodies(gpu, fields, &liquid.solver, buffers)?,
             closed_components: Seal::new(gpu, &liquid.solver, nodes, buffers)?,
             scheme,
+            filled_cavities,
             separated_flux: stages::separated_flux(gpu, &liquid.buffers, &liquid.solver, buffers, &fields.velocity)?,
             diagnose: stages::diagnose_coupling(gpu, &liquid.solver, buffers, correction)?,
             patch_pressure,
@@ -231,6 +245,7 @@ fn solve_in_rows(
                 Ok((solve(recorder, Some(aim))?, false))
             })?;
             restoring.submit();
+            solves.finish(gpu);
             outcome
         }
     };
@@ -286,7 +301,8 @@ impl GpuCoupling {
         let weak = scene.solver.coupling == CouplingScheme::Weak;
         let weak = weak.then(|| WeakBuffers::new(gpu, solid_system));
         let weak = weak.transpose()?;
-        let with = (&on_device, &buffers);
+        let cavities = Cavities::in_liquid(scene, &solids.solids);
+        let with = (&on_device, &buffers, &cavities);
         let stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak.as_ref())?;
         // Four numbers per node.
         let words = buffers.partials.real.bytes() * solids.buffers.plan.n_nodes;
@@ -296,6 +312,8 @@ impl GpuCoupling {
             probed: probed.collect::<Result<_, _>>()?,
             moved: Readback::new(gpu, "coupling.displacement", 2 * solids.buffers.plan.n_nodes)?,
             clip,
+            cavities,
+            cavity_volumes: Vec::new(),
             capacity,
             on_device,
             buffers,
@@ -308,8 +326,11 @@ impl GpuCoupling {
     }
 
     /// Allocates the readbacks of a sub-step.
-    pub(super) fn readbacks(gpu: &Gpu) -> Result<CouplingReadbacks, Error> {
+    pub(super) fn readbacks(&self, gpu: &Gpu) -> Result<CouplingReadbacks, Error> {
+        let cavities = self.stages.filled_cavities.as_ref();
+        let cavities = cavities.map(|cavities| Readback::new(gpu, "coupling.cavities", cavities.words().len()));
         Ok(CouplingReadbacks {
+            cavities: cavities.transpose()?,
             report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
             components: Readback::new(gpu, "coupling.components", 1)?,
         })
@@ -351,7 +372,7 @@ impl GpuCoupling {
     }
 
     /// Clips the present solids and writes the clipping and J, before all work submitted later. `displacement` of all
-    /// nodes in m.
+    /// nodes in m, `cavity_volume` of the state.
     ///
     /// # Errors
     /// [`Error::Limit`] when a larger capacity exceeds the adapter's limits.
@@ -360,7 +381,7 @@ impl GpuCoupling {
         gpu: &Gpu,
         scene: &Scene,
         (liquid, solids): (&mut GpuLiquid, &GpuSolids),
-        displacement: &[[f64; 3]],
+        (displacement, cavity_volume): (&[[f64; 3]], &[f64]),
         at: ClipTime,
     ) -> Result<(), Error> {
         let grid = scene.grid();
@@ -377,7 +398,7 @@ impl GpuCoupling {
             let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
             self.on_device = self.on_device.resized(gpu, self.capacity.clip)?;
             self.buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, self.capacity.coupling)?;
-            let with = (&self.on_device, &self.buffers);
+            let with = (&self.on_device, &self.buffers, &self.cavities);
             let weak = self.weak.as_ref();
             self.stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak)?;
             self.bind_liquid(gpu, liquid, solids)?;
@@ -393,6 +414,12 @@ impl GpuCoupling {
             return Ok(());
         };
         self.on_device.write(gpu, (&self.clip, cut), triangles, false);
+        if let Some(cavities) = &self.stages.filled_cavities {
+            self.cavity_volumes = self.cavities.volumes(&solids.solids, displacement);
+            let targets = cavity_volume.iter().copied().chain(std::iter::repeat(0.0));
+            let pairs = self.cavity_volumes.iter().zip(targets);
+            cavities.write(gpu, pairs.map(|(&volume, target)| cavity_rate(target, volume, span)));
+        }
         self.write_patches(gpu, scene, (liquid, solids), &pairs, dt_last);
         Ok(())
     }
@@ -493,17 +520,30 @@ impl GpuCoupling {
     }
 
     /// Submits the recording, which ends with both systems assembled, and reads back the contact of liquid and
-    /// solids. Not for weak coupling.
+    /// solids. Not for weak coupling. Cavities that liquid fills for the first time get the target `cavity_volume`.
     pub(super) fn touch(
         &self,
         gpu: &Gpu,
         liquid: &GpuLiquid,
         mut to: Recorder,
         readbacks: &mut CouplingReadbacks,
+        cavity_volume: &mut Vec<f64>,
     ) -> Result<(ContactState, StageTimes), Error> {
         to.read(&self.buffers.report, &mut readbacks.report);
         to.read(&liquid.solver.components, &mut readbacks.components);
+        let cavities = self.stages.filled_cavities.as_ref().zip(readbacks.cavities.as_mut());
+        let cavities = cavities.map(|(cavities, readback)| {
+            to.read(cavities.words(), readback);
+            readback
+        });
         let timing = to.submit();
+        if let Some(readback) = cavities {
+            cavity_volume.resize(self.cavities.len(), 0.0);
+            let words = readback.wait(gpu)?;
+            let targets = cavity_volume.iter_mut().zip(&self.cavity_volumes).zip(FilledCavities::filled(&words));
+            let first = targets.filter(|((target, _), filled)| *filled && **target == 0.0);
+            first.for_each(|((target, volume), _)| *target = volume.max(0.0));
+        }
         let report = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let closed_components = readbacks.components.wait(gpu)?[0];
         let touch = ContactState { touching: report.touching, closed_components };

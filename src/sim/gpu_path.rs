@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{NodeReadback, Solids};
+use crate::elastic::{Cavities, NodeReadback, Solids};
 use crate::fields::Step;
 use crate::geometry::{self, ContactField, CutCells, ObstacleCut, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::{AdapterChoice, Gpu};
@@ -127,10 +127,10 @@ impl GpuPath {
             }
         }
         let solid_readbacks = || GpuSolids::readbacks(&gpu);
-        let coupling_readbacks = || GpuCoupling::readbacks(&gpu);
+        let coupling_readbacks = |coupling: &GpuCoupling| coupling.readbacks(&gpu);
         let readbacks = Readbacks {
             solids: solids.as_ref().map(|_| solid_readbacks()).transpose()?,
-            coupling: coupling.as_ref().map(|_| coupling_readbacks()).transpose()?,
+            coupling: coupling.as_ref().map(coupling_readbacks).transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
             squeeze: SqueezeReadbacks::at_start(&gpu, scene, solids.as_ref())?,
         };
@@ -167,6 +167,7 @@ impl GpuPath {
             frame: state.frame,
             dt_last: state.dt_last,
             contact_step: state.contact_step,
+            cavity_volume: state.cavity_volume.clone(),
             sources_running: state.sources_running,
             ..State::default()
         };
@@ -174,7 +175,8 @@ impl GpuPath {
             let both = self.liquid.as_mut().zip(self.solids.as_ref());
             let both = both.expect("coupling has liquid and solids");
             let time = ClipTime::State { time: state.time };
-            coupling.update_clip(&self.gpu, &self.scene, both, &state.displacement, time)?;
+            let solids = (&*state.displacement, &*state.cavity_volume);
+            coupling.update_clip(&self.gpu, &self.scene, both, solids, time)?;
             coupling.write_pressure(&self.gpu, &self.scene, state, self.liquid.as_ref());
         }
         if let Some((obstacles, liquid)) = self.obstacles.as_mut().zip(self.liquid.as_mut()) {
@@ -362,6 +364,11 @@ impl GpuPath {
     /// The solids at rest; `None` without solids.
     pub fn solids(&self) -> Option<&Solids> {
         self.solids.as_ref().map(|solids| &solids.solids)
+    }
+
+    /// The cavities in liquid, and their targets before the solve, m^3.
+    pub fn cavities(&self) -> Option<(&Cavities, &[f64])> {
+        self.coupling.as_ref().map(|coupling| (&coupling.cavities, &*self.head.cavity_volume))
     }
 
     /// Sources and sinks, and the running sources of the next sub-step.

@@ -250,7 +250,7 @@ impl SubStep<'_, '_> {
         if let Some((coupling, solids)) = coupling.as_mut().zip(solids.as_ref()) {
             let dt_last = head.dt_last;
             let at = ClipTime::SubStep { time, dt, dt_last };
-            coupling.update_clip(gpu, scene, (liquid, solids), &self.moved, at)?;
+            coupling.update_clip(gpu, scene, (liquid, solids), (&self.moved, &head.cavity_volume), at)?;
         }
         let seconds = (Stage::Clip.name(), clock.elapsed().as_secs_f64());
         self.readback.seconds.push(seconds);
@@ -279,11 +279,20 @@ impl SubStep<'_, '_> {
         }
     }
 
-    fn right_hand_side(&mut self) -> Result<(), Error> {
+    fn liquid_right_hand_side(&mut self) {
         let to = recording(&mut self.recorder, &self.path.gpu);
-        if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
-            stages.record(Stage::RightHandSide, to);
+        let Some(GpuLiquid { stages, .. }) = &self.path.liquid else {
+            return;
+        };
+        stages.record(Stage::RightHandSide, to);
+        let coupling = self.path.coupling.as_ref();
+        if let Some(cavities) = coupling.and_then(|coupling| coupling.stages.filled_cavities.as_ref()) {
+            to.stage(Stage::RightHandSide.name(), |pass| cavities.record(pass, &stages.closed_components));
         }
+    }
+
+    fn right_hand_side(&mut self) -> Result<(), Error> {
+        self.liquid_right_hand_side();
         self.remove_means();
         let to = recording(&mut self.recorder, &self.path.gpu);
         let coupling = self.path.coupling.as_ref();
@@ -347,9 +356,9 @@ impl SubStep<'_, '_> {
             let pairs = coupling.pairs(&scene.grid());
             coupling.write_patches(gpu, scene, (liquid, solids), &pairs, head.dt_last);
         }
-        if let Some(liquid) = liquid {
-            liquid.stages.record(Stage::RightHandSide, recording(&mut self.recorder, gpu));
-            let GpuLiquid { buffers, solver, stages, .. } = liquid;
+        self.liquid_right_hand_side();
+        let GpuPath { gpu, liquid, .. } = &mut *self.path;
+        if let Some(GpuLiquid { buffers, solver, stages, .. }) = liquid {
             stages.closed_components.set_opening(gpu, buffers, solver, &squeeze.receding)?;
         }
         for stage in [Stage::ActiveCells, Stage::ClosedComponents] {
@@ -360,7 +369,7 @@ impl SubStep<'_, '_> {
     }
 
     fn solve_together(&mut self) -> Result<(), Error> {
-        let GpuPath { gpu, scene, liquid, solids, coupling, readbacks, .. } = &mut *self.path;
+        let GpuPath { gpu, scene, head, liquid, solids, coupling, readbacks, .. } = &mut *self.path;
         let both = liquid.as_mut().zip(solids.as_ref());
         let Some((coupling, (liquid, solids))) = coupling.as_ref().zip(both) else {
             return Ok(());
@@ -370,7 +379,8 @@ impl SubStep<'_, '_> {
             return Ok(());
         };
         let recorder = end_recording(&mut self.recorder, gpu);
-        let (touch, mut seconds) = coupling.touch(gpu, liquid, recorder, coupling_readbacks)?;
+        let targets = &mut head.cavity_volume;
+        let (touch, mut seconds) = coupling.touch(gpu, liquid, recorder, coupling_readbacks, targets)?;
         self.readback.seconds.append(&mut seconds);
         self.readback.together = touch.touching;
         if !touch.touching {

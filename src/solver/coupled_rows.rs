@@ -45,6 +45,8 @@ struct Contact {
     search: RowSearch,
     /// Forces of the rows in the last solve, N; empty before the first.
     lambda: Vec<f64>,
+    /// Right-hand side with these forces, N; empty without rounds.
+    pushed: Vec<f64>,
     /// Whether the rows are those of a rough round.
     rough: bool,
 }
@@ -54,7 +56,7 @@ impl Contact {
     fn new(rows: Vec<Row>, n_nodes: usize, factor: &Factor, free: &[f64], rough: bool) -> Contact {
         let system = contact_rows::unilateral(rows.clone(), n_nodes, factor);
         let search = RowSearch::new(&system, free);
-        Contact { rows, lambda: Vec::new(), system, search, rough }
+        Contact { rows, lambda: Vec::new(), pushed: Vec::new(), system, search, rough }
     }
 
     /// Takes the tangents of a precise round in place of those of a rough one, where the rows are the same otherwise.
@@ -213,8 +215,17 @@ impl<'a> RowSolves<'a> {
         if aim.is_some() {
             // The next round begins without forces of rows.
             at.solids.rhs.upload(gpu, &round.rhs);
+            let forces = contact.system.forces(&contact.lambda).into_iter();
+            contact.pushed = round.rhs.iter().zip(forces).map(|(rhs, force)| rhs + force).collect();
         }
         Ok(round.solved.finished())
+    }
+
+    /// After the last round: gives the right-hand side the forces of the rows.
+    pub(crate) fn finish(&self, gpu: &Gpu) {
+        if let Some(contact) = self.contact.as_ref().filter(|contact| !contact.pushed.is_empty()) {
+            self.form.at.solids.rhs.upload(gpu, &contact.pushed);
+        }
     }
 
     /// S^-1, in a form that needs it, after the recording. With rows the Schur-complement form is worth more wet nodes: in the other one a set of

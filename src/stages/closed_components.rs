@@ -108,6 +108,12 @@ impl Components {
         self.opening.as_ref().is_some_and(|opening| opening.active)
     }
 
+    /// Dispatch sizes of the labelling, for [`FilledCavities`](super::FilledCavities): first a thread per active quad where some component has no free
+    /// surface.
+    pub(super) fn sizes(&self) -> &Buffer<u32> {
+        &self.sizes
+    }
+
     /// Takes the mean over every closed component out of the right-hand side, without which the system has no solution.
     pub fn remove_means(&self, pass: &mut Pass) {
         self.rhs.record(pass, &self.sizes);

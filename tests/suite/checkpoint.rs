@@ -351,7 +351,7 @@ fn checkpoints_of_other_arrays_are_refused() {
         ("time", Some("markers"), "numbers (<f4 or <f8) of shape []"),
         ("manifest", Some("format"), "array \"manifest\": "),
         ("cutwater", Some("active"), "instead of bytes"),
-        ("cutwater", Some("format"), "was written by cutwater 5 (format 5), and this is"),
+        ("cutwater", Some("format"), "was written by cutwater 6 (format 6), and this is"),
     ] {
         let (folder, _) = small();
         exchange(&Checkpoint::path(folder.path()), array, by);

@@ -10,6 +10,7 @@ mod bench_stability;
 mod bench_step;
 mod bench_thesis;
 mod browser;
+mod cavities;
 mod checkpoint;
 mod cli;
 mod common;

@@ -321,17 +321,20 @@ fn balls_bounce_off_each_other_on_both_backends() {
     }
 }
 
-/// Every stage on the device is that of the twin, in liquid and over it.
+/// Every stage on the device is that of the twin, in liquid and over it, also where liquid leaves walls and blocks.
 #[test]
 fn contact_on_the_device_passes_the_comparison() {
     if gpu().is_none() {
         return;
     }
-    for level in [0.4, 0.15] {
-        // They meet in the first frame.
-        let compared = compare(&bars(level, 20.0), 1, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
-        let verdict = compared.verdict();
-        verdict.unwrap_or_else(|error| panic!("level {level}: {error}"));
+    // They meet in the first frame, or in the fourth.
+    for (what, scene, frames) in [
+        ("under water", bars(0.4, 20.0), 1),
+        ("over water", bars(0.15, 20.0), 1),
+        ("falling", falling(1e7, 1500.0, "walls"), 6),
+    ] {
+        let compared = compare(&scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        compared.verdict().unwrap_or_else(|error| panic!("{what}: {error}"));
     }
 }
 

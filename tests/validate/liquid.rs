@@ -54,8 +54,8 @@ pub(crate) fn settings_of(text: &str) -> Vec<String> {
         let key = last(setting).unwrap_or_default();
         let of_liquid = setting.starts_with("liquid.") || key == "pressure_on_patches";
         let fits = !of_liquid || text.contains("[[liquid.region]]");
-        let free = !named(&key) && !(key == "surface" && named("separation"));
-        if fits && free && !settings.iter().any(|before| last(before).as_deref() == Some(&key)) {
+        let taken = named(&key) || key == "surface" && named("separation");
+        if fits && !taken && !settings.iter().any(|before| last(before).as_deref() == Some(&key)) {
             settings.push(setting.to_owned());
         }
     }

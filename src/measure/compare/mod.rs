@@ -17,7 +17,7 @@ pub use table::{MOST_EXCUSED, Place, Row, Worst};
 use super::bounds::EPS;
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::Solids;
+use crate::elastic::{Cavities, Solids};
 use crate::fields::CouplingReport;
 use crate::geometry::SolidClip;
 use crate::gpu::{AdapterChoice, Real};
@@ -188,10 +188,11 @@ impl<'a> Twins<'a> {
             self.clip(path, &device);
         }
         let snapshots = after.liquid.as_ref().zip(after.solids.as_ref());
-        let both = snapshots.zip(self.clip.as_ref().zip(path.solids()));
-        let both = both.map(|((liquid, solids), (clip, at_rest))| Both {
+        let bodies = self.clip.as_ref().zip(path.solids()).zip(path.cavities());
+        let both = snapshots.zip(bodies).map(|((liquid, solids), ((clip, at_rest), cavities))| Both {
             clip,
             at_rest,
+            cavities,
             liquid,
             solids,
             slopes: &self.slopes,
@@ -265,6 +266,8 @@ struct Both<'a> {
     clip: &'a SolidClip,
     /// The solids at rest.
     at_rest: &'a Solids,
+    /// Cavities, and their targets before the solve, m^3.
+    cavities: (&'a Cavities, &'a [f64]),
     liquid: &'a LiquidSnapshot,
     solids: &'a SolidSnapshot,
     /// Gradients of the pressure within the cells with patches, Pa/m.

@@ -4,12 +4,13 @@ use super::SubStep;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::reference::{
-    Ballistic, Contacts, MovingWalls, Passed, PatchForces, PressureSystem, SolidSystem, Surface, VolumeSource,
-    active_cells, advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies, ballistic_cells,
-    carry_faces, diagnose_liquid, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate_one_sided,
-    forces, hold_faces, hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces,
-    open_volumes, patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
-    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
+    ActiveCells, Ballistic, CavityMotion, Contacts, MovingWalls, Passed, PatchForces, PressureSystem, RightHandSide,
+    SolidSystem, Surface, VolumeSource, active_cells, advect_markers, advect_velocity, advect_velocity_maccormack,
+    ballistic_bodies, ballistic_cells, carry_faces, diagnose_liquid, diagnose_solid, divergence, empty_sinks,
+    exchanged_volume, extrapolate_one_sided, fill_cavities, forces, hold_faces, hold_near_others, liquid_distance,
+    liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure, pressure_gradient, right_hand_side,
+    seed_markers, sink_markers, solid_matrices, solid_right_hand_side, surface_distance, volume_rate, wet_nodes,
+    write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -215,6 +216,7 @@ impl SubStep<'_> {
         });
         let mut rhs = right_hand_side(grid, self.apertures()[1], &after.velocity, &active, source);
         self.add_excess(open_volumes, &active, &mut rhs);
+        let cavity_volume = self.fill_cavities(open_volumes, &active, &mut rhs);
         let system = PressureSystem::new(active, rhs, dt, liquid.density);
         let obstacles = self.boundary.moving_obstacles();
         let obstacles = obstacles.map_or(&[][..], |obstacles| obstacles.flux());
@@ -223,7 +225,19 @@ impl SubStep<'_> {
             flux => system.beside_obstacles(flux),
         };
         let sources = taps.boundary_flux(grid, Some(&cut.open), self.sources.running);
-        Some(system.with_taken(obstacles.iter().copied().chain(sources)))
+        let system = system.with_taken(obstacles.iter().copied().chain(sources));
+        self.after.cavity_volume = cavity_volume;
+        Some(system)
+    }
+
+    /// Adds the sources of the liquid that fills cavities to the right-hand side. Returns the targets of the cavities, m^3.
+    fn fill_cavities(&self, open_volumes: &[f64], active: &ActiveCells, rhs: &mut RightHandSide) -> Vec<f64> {
+        let Some((solid, clip)) = self.model.solid.as_ref().zip(self.boundary.clip()) else {
+            return Vec::new();
+        };
+        let volumes = solid.cavities.volumes(&solid.solids, &self.after.displacement);
+        let motion = CavityMotion { volumes: &volumes, targets: &self.before.cavity_volume, dt: self.time_step.dt };
+        fill_cavities(&solid.cavities, clip.coupling(), active, motion, open_volumes, rhs)
     }
 
     fn solid_system(&mut self) -> Option<(SolidSystem, Contacts)> {

@@ -16,7 +16,8 @@ use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
-    self, ActiveCells, Ballistic, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, TimeStep, VolumeSource,
+    self, ActiveCells, Ballistic, CavityMotion, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil,
+    TimeStep, VolumeSource, cavity_rate,
 };
 use crate::scene::{ProbeKind, Scene, ThetaFloor};
 use crate::sim::{GpuPath, LiquidSnapshot};
@@ -548,7 +549,8 @@ impl<'a> LiquidComparison<'a> {
         let of_excess = self.add_excess(&mask, &mut twin);
         let area = grid.dx * grid.dx;
         let speed = active_speed(&grid, &active.stencil, velocity);
-        let terms = 12.0 * 6.0 * unit(after.real) * speed + of_excess;
+        let of_cavities = both.map_or(0.0, |both| self.fill_cavities(both, &active, &mut twin));
+        let terms = 12.0 * 6.0 * unit(after.real) * speed + of_excess + of_cavities;
         let rate = after.report.volume_rate.abs();
         let mut bound = terms + EPS * 6.0 * rate * grid.dx;
         let mut gpu = after.rhs.clone();
@@ -584,6 +586,16 @@ impl<'a> LiquidComparison<'a> {
         self.twin.rhs_bound = bound;
         self.twin.flux = twin.scale / area;
         self.twin.active = Some(active);
+    }
+
+    /// Adds the sources of the liquid that fills cavities (m^3/s). Returns the error of a rate in f32 and two products, m/s.
+    fn fill_cavities(&self, both: &Both, active: &ActiveCells, rhs: &mut reference::RightHandSide) -> f64 {
+        let ((cavities, targets), dt) = (both.cavities, self.dt());
+        let volumes = cavities.volumes(both.at_rest, &both.solids.displacement);
+        let motion = CavityMotion { volumes: &volumes, targets, dt };
+        reference::fill_cavities(cavities, both.clip.coupling(), active, motion, &self.open_volumes, rhs);
+        let rates = volumes.iter().zip(targets).map(|(&volume, &target)| cavity_rate(target, volume, dt).abs());
+        4.0 * EPS * self.grid.dx * largest(rates)
     }
 
     /// Flags of valid faces are exact. theta has 6 roundings, the quotient by it and the difference 5 and 1; u less that is rounded in the scalar

@@ -1,0 +1,93 @@
+//! Cavities of solids: rooms bounded by a closed part of a solid's surface.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+
+use super::Solids;
+use crate::scene::{CouplingScheme, Scene};
+
+/// The cavities of all solids, in the order of their first triangles.
+#[derive(Clone, Debug, Default)]
+pub struct Cavities {
+    /// Triangles of each, corners clockwise as seen from the cavity.
+    triangles: Vec<Vec<[u32; 3]>>,
+    /// Cavity that each node bounds, from 1; 0 for none.
+    of_node: Vec<u32>,
+}
+
+impl Cavities {
+    /// Finds the parts of the surfaces at rest that enclose a room.
+    pub fn new(solids: &Solids) -> Cavities {
+        let mut parts: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
+        let first_node = first_nodes(solids);
+        for &triangle in &solids.triangles {
+            parts.entry(first_node[triangle[0] as usize]).or_default().push(triangle);
+        }
+        let encloses = |part: &Vec<[u32; 3]>| room(part, |node| solids.rest[node as usize]) > 0.0;
+        let triangles: Vec<Vec<[u32; 3]>> = parts.into_values().filter(encloses).collect();
+        let mut of_node = vec![0; solids.rest.len()];
+        for (number, part) in (1..).zip(&triangles) {
+            part.iter().flatten().for_each(|&node| of_node[node as usize] = number);
+        }
+        Cavities { triangles, of_node }
+    }
+
+    /// The cavities whose liquid is solved for together with the solids; none in other couplings.
+    pub fn in_liquid(scene: &Scene, solids: &Solids) -> Cavities {
+        match scene.liquid.is_some() && scene.solver.coupling == CouplingScheme::Strong {
+            true => Cavities::new(solids),
+            false => Cavities::default(),
+        }
+    }
+
+    /// Number of cavities.
+    pub fn len(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// Cavity that each node bounds, from 1; 0 for none.
+    pub fn of_node(&self) -> &[u32] {
+        &self.of_node
+    }
+
+    /// Volumes, m^3, from the displacement of all nodes, m. That of a cavity inside out is negative.
+    pub fn volumes(&self, solids: &Solids, displacement: &[[f64; 3]]) -> Vec<f64> {
+        let position = |node: u32| solids.rest[node as usize] + DVec3::from(displacement[node as usize]);
+        self.triangles.iter().map(|part| room(part, position)).collect()
+    }
+}
+
+/// The smallest node of the part of the surface that each node belongs to; of other nodes themselves.
+fn first_nodes(solids: &Solids) -> Vec<u32> {
+    let mut first: Vec<u32> = (0..solids.rest.len() as u32).collect();
+    fn find(first: &mut [u32], mut node: u32) -> u32 {
+        while first[node as usize] != node {
+            first[node as usize] = first[first[node as usize] as usize];
+            node = first[node as usize];
+        }
+        node
+    }
+    for &[a, b, c] in &solids.triangles {
+        for other in [b, c] {
+            let [one, other] = [a, other].map(|node| find(&mut first, node));
+            first[one.max(other) as usize] = one.min(other);
+        }
+    }
+    (0..solids.rest.len() as u32).map(|node| find(&mut first, node)).collect()
+}
+
+/// Volume on the outer side of closed triangles (divergence theorem), from one of their corners for fewer digits lost.
+fn room(triangles: &[[u32; 3]], position: impl Fn(u32) -> DVec3) -> f64 {
+    let origin = position(triangles[0][0]);
+    let of_triangle = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|corner| position(corner) - origin);
+        a.dot(b.cross(c))
+    };
+    -triangles.iter().map(of_triangle).sum::<f64>() / 6.0
+}
