@@ -327,11 +327,11 @@ fn contact_on_the_device_passes_the_comparison() {
     if gpu().is_none() {
         return;
     }
-    // They meet in the first frame, or in the fourth.
+    // They meet in the first frame, or in the ninth.
     for (what, scene, frames) in [
         ("under water", bars(0.4, 20.0), 1),
         ("over water", bars(0.15, 20.0), 1),
-        ("falling", falling(1e7, 1500.0, "walls"), 6),
+        ("falling", falling(1e7, 1500.0, "walls"), 10),
     ] {
         let compared = compare(&scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
         compared.verdict().unwrap_or_else(|error| panic!("{what}: {error}"));
