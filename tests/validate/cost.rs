@@ -83,6 +83,7 @@ const CLASSES: &[(Class, &str)] = &[
     (Default, "scenes/spinning_block/01|05|09/mixed"),
     (Default, "scenes/squashed_cube/04|08|12/mixed"),
     (Full, "scenes/*/*/mixed"),
+    (Full, "drops/*"),
     (Default, "R1/*"),
 ];
 

@@ -17,6 +17,9 @@
 #[allow(dead_code, reason = "the suite uses the rest")]
 #[path = "../suite/common.rs"]
 mod common;
+#[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/drops.rs"]
+mod drops;
 #[path = "../suite/kills.rs"]
 mod kills;
 #[allow(dead_code, reason = "the suite uses the rest")]
@@ -44,6 +47,7 @@ mod results;
 mod resume;
 mod sheet;
 mod solid_balances;
+mod solid_drops;
 mod solid_elements;
 mod solid_inversion;
 mod solid_motion;
@@ -121,6 +125,7 @@ fn cases() -> Vec<Case> {
         ("solids", solid_motion::cases()),
         ("solids", solid_balances::cases()),
         ("solids", solid_inversion::cases()),
+        ("solids", solid_drops::cases()),
         ("hard materials", solid_scenes::cases()),
         ("kills", resume::cases()),
     ]
