@@ -52,8 +52,9 @@ impl Comparison {
     pub fn verdict(&self) -> Result<(), Error> {
         let n = self.rows.len();
         let mut problems = Vec::new();
-        let worst = self.worst().filter(|row| row.ratio() > 1.0);
-        if let Some((row, worst)) = worst.and_then(|row| Some((row, row.worst?))) {
+        if let Some(row) = self.worst().filter(|row| row.ratio() > 1.0)
+            && let Some(worst) = row.worst
+        {
             let differ = self.rows.iter().filter(|row| row.ratio() > 1.0).count();
             problems.push(format!(
                 "{differ} of {n} quantities differ by more than rounding explains; the worst is {} of {}: {:e} {unit} on the GPU, \
@@ -187,19 +188,13 @@ impl<'a> Twins<'a> {
         if stage == Stage::Clip {
             self.clip(path, &device);
         }
-        let snapshots = after.liquid.as_ref().zip(after.solids.as_ref());
-        let both = snapshots.zip(self.clip.as_ref().zip(path.solids()));
-        let both = both.map(|((liquid, solids), (clip, at_rest))| Both {
-            clip,
-            at_rest,
-            liquid,
-            solids,
-            slopes: &self.slopes,
-            report: after.coupling,
-        });
+        let (clip, slopes, report) = (self.clip.as_ref(), &self.slopes[..], after.coupling);
+        let both = after.liquid.as_ref().zip(after.solids.as_ref()).zip(clip.zip(path.solids()));
+        let both =
+            both.map(|((liquid, solids), (clip, at_rest))| Both { clip, at_rest, liquid, solids, slopes, report });
         let both = both.as_ref();
         if let (Stage::Solve, Some(twin), Some(after)) = (stage, &mut self.liquid, &after.liquid) {
-            twin.release(after, self.clip.as_ref(), both);
+            twin.release(after, clip, both);
         }
         if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) =
             (stage, both.filter(|both| both.touch()), &self.liquid, &mut self.solids)
@@ -209,7 +204,7 @@ impl<'a> Twins<'a> {
             solids.assembly(both.solids, both, density, systems)?;
         }
         if let (Some(twin), Some(after)) = (&mut self.liquid, &after.liquid) {
-            twin.compare(stage, after, device.liquid, self.clip.as_ref(), both)?;
+            twin.compare(stage, after, device.liquid, clip, both)?;
         }
         if let (Some(twin), Some(after)) = (&mut self.solids, &after.solids) {
             twin.compare(stage, after, device.solids, both)?;
@@ -282,27 +277,23 @@ impl Both<'_> {
 
     /// J v of the cells over dx^2, m/s, 0 in inactive cells; and the same with magnitudes.
     fn flux(&self, dx: f64, active: &[bool]) -> [Vec<f64>; 2] {
-        let mut sums = [(); 2].map(|()| vec![0.0; active.len()]);
-        for pair in self.clip.coupling().pairs() {
-            if active[pair.cell] {
-                let value = pair.value / (dx * dx);
-                let v = DVec3::from(self.solids.velocity[pair.node]);
-                sums[0][pair.cell] += value.dot(v);
-                sums[1][pair.cell] += value.abs().dot(v.abs());
-            }
-        }
-        sums
+        self.flux_of(dx, active, |_, v| v)
     }
 
     /// J v of the constrained part of v, likewise.
     fn constrained_flux(&self, dx: f64, active: &[bool]) -> Vec<f64> {
-        let mut sums = vec![0.0; active.len()];
-        for pair in self.clip.coupling().pairs() {
-            if active[pair.cell] {
-                let v = DVec3::from(self.solids.velocity[pair.node]);
-                let constrained = v - self.solids.freedom[pair.node].projector * v;
-                sums[pair.cell] += (pair.value / (dx * dx)).dot(constrained);
-            }
+        let [flux, _] = self.flux_of(dx, active, |node, v| v - self.solids.freedom[node].projector * v);
+        flux
+    }
+
+    /// The same of a part of each node's velocity.
+    fn flux_of(&self, dx: f64, active: &[bool], part: impl Fn(usize, DVec3) -> DVec3) -> [Vec<f64>; 2] {
+        let mut sums = [(); 2].map(|()| vec![0.0; active.len()]);
+        for pair in self.clip.coupling().pairs().iter().filter(|pair| active[pair.cell]) {
+            let value = pair.value / (dx * dx);
+            let v = part(pair.node, self.solids.velocity[pair.node].into());
+            sums[0][pair.cell] += value.dot(v);
+            sums[1][pair.cell] += value.abs().dot(v.abs());
         }
         sums
     }

@@ -157,9 +157,19 @@ impl Row {
     }
 }
 
+/// A number on both paths: GPU, twin, bound.
+pub(super) type Numbers = (f64, f64, f64);
+/// The same with its place.
+pub(super) type Pair = (f64, f64, f64, Place);
+
 /// The components of a vector on both paths.
-pub(super) fn components(gpu: [f64; 3], twin: [f64; 3], bound: f64, place: Place) -> [(f64, f64, f64, Place); 3] {
+pub(super) fn components(gpu: [f64; 3], twin: [f64; 3], bound: f64, place: Place) -> [Pair; 3] {
     [0, 1, 2].map(|a| (gpu[a], twin[a], bound, place))
+}
+
+/// A flag on both paths, which must agree.
+pub(super) fn flag(gpu: bool, twin: bool, place: Place) -> Pair {
+    (number(gpu), number(twin), 0.0, place)
 }
 
 /// Adds single numbers to a table: quantity, unit, and GPU, twin and bound.
@@ -195,8 +205,8 @@ impl Table {
         &mut self.rows[index]
     }
 
-    /// Adds (GPU, twin, bound, place) to a row.
-    pub(super) fn add(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = (f64, f64, f64, Place)>) {
+    /// Adds pairs to a row.
+    pub(super) fn add(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = Pair>) {
         let step = self.step;
         let row = self.row(quantity);
         for (gpu, twin, bound, place) in pairs {
@@ -204,27 +214,12 @@ impl Table {
         }
     }
 
-    /// Adds (GPU, twin, bound, place) to a row, and excuses the numbers that are `None`.
-    pub(super) fn judge(
-        &mut self,
-        quantity: Quantity,
-        pairs: impl IntoIterator<Item = Option<(f64, f64, f64, Place)>>,
-    ) {
+    /// Adds pairs to a row, and excuses those that are `None`.
+    pub(super) fn judge(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = Option<Pair>>) {
         let mut excused = 0;
-        let compared = pairs.into_iter().inspect(|pair| excused += usize::from(pair.is_none()));
+        let compared = pairs.into_iter().inspect(|pair| excused += u64::from(pair.is_none()));
         self.add(quantity, compared.flatten());
-        self.excuse(quantity, excused);
-    }
-
-    /// Adds flags to a row: they must agree everywhere.
-    pub(super) fn add_flags(&mut self, quantity: &'static str, pairs: impl IntoIterator<Item = (bool, bool, Place)>) {
-        let pairs = pairs.into_iter().map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
-        self.add([quantity, "flag"], pairs);
-    }
-
-    /// Excuses numbers of a row.
-    pub(super) fn excuse(&mut self, quantity: Quantity, count: usize) {
-        self.row(quantity).excused += count as u64;
+        self.row(quantity).excused += excused;
     }
 
     /// Adds one number without a place: GPU, twin, bound.
@@ -232,33 +227,45 @@ impl Table {
         self.add(quantity, [(gpu, twin, bound, Place::Whole)]);
     }
 
-    /// Adds the (GPU, twin, bound) of each cell that has them.
-    pub(super) fn cells(
-        &mut self,
-        grid: &Grid,
-        quantity: Quantity,
-        numbers: impl Fn(usize) -> Option<(f64, f64, f64)>,
-    ) {
-        let cells = (0..grid.n_cells()).filter_map(|cell| {
-            let (gpu, twin, bound) = numbers(cell)?;
-            Some((gpu, twin, bound, Place::cell(grid, cell)))
-        });
-        self.add(quantity, cells);
+    /// Adds the numbers of each cell that has them.
+    pub(super) fn cells(&mut self, grid: &Grid, quantity: Quantity, numbers: impl Fn(usize) -> Option<Numbers>) {
+        self.judge_cells(grid, quantity, |cell| numbers(cell).map(Some));
     }
 
-    /// Adds the (GPU, twin, bound) of each face that has them, by axis and index.
-    pub(super) fn faces(
+    /// The same; `Some(None)` is excused.
+    pub(super) fn judge_cells(
         &mut self,
         grid: &Grid,
         quantity: Quantity,
-        numbers: impl Fn(usize, usize) -> Option<(f64, f64, f64)>,
+        numbers: impl Fn(usize) -> Option<Option<Numbers>>,
+    ) {
+        let pair = |cell, (gpu, twin, bound)| (gpu, twin, bound, Place::cell(grid, cell));
+        let cells = (0..grid.n_cells()).filter_map(|cell| Some(numbers(cell)?.map(|numbers| pair(cell, numbers))));
+        self.judge(quantity, cells);
+    }
+
+    /// Adds a flag of each cell on both paths.
+    pub(super) fn cell_flags(&mut self, grid: &Grid, quantity: &'static str, gpu: &[bool], twin: &[bool]) {
+        self.cells(grid, [quantity, "flag"], |cell| Some((number(gpu[cell]), number(twin[cell]), 0.0)));
+    }
+
+    /// Adds the numbers of each face that has them, by axis and index.
+    pub(super) fn faces(&mut self, grid: &Grid, quantity: Quantity, numbers: impl Fn(usize, usize) -> Option<Numbers>) {
+        self.judge_faces(grid, quantity, |axis, face| numbers(axis.index(), face).map(Some));
+    }
+
+    /// The same; `Some(None)` is excused.
+    pub(super) fn judge_faces(
+        &mut self,
+        grid: &Grid,
+        quantity: Quantity,
+        numbers: impl Fn(Axis, usize) -> Option<Option<Numbers>>,
     ) {
         for axis in Axis::ALL {
-            let faces = (0..grid.n_faces(axis)).filter_map(|face| {
-                let (gpu, twin, bound) = numbers(axis.index(), face)?;
-                Some((gpu, twin, bound, Place::face(grid, axis, face)))
-            });
-            self.add(quantity, faces);
+            let pair = |face, (gpu, twin, bound)| (gpu, twin, bound, Place::face(grid, axis, face));
+            let faces = (0..grid.n_faces(axis))
+                .filter_map(|face| Some(numbers(axis, face)?.map(|numbers| pair(face, numbers))));
+            self.judge(quantity, faces);
         }
     }
 
