@@ -22,7 +22,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::reference::larger;
-use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
+use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::state::{SolveReport, SolveStatus};
 
 pub use exact::{Exact, dam_release};
@@ -30,6 +30,12 @@ pub use exact::{Exact, dam_release};
 /// Relative residual of the exact solutions.
 const EXACT: f64 = 1e-13;
 const MOST_ITERATIONS: u32 = 20_000;
+
+/// Settings of the exact solutions.
+fn exact(solver: Solver) -> Solver {
+    Solver { precision: Precision::F64, tolerance: EXACT, max_iterations: MOST_ITERATIONS, ..solver }
+}
+
 /// Largest residual of an exact solution that did not converge. Forces of stiff solids cancel, so rounding in f64 can exceed [`EXACT`].
 const ROUNDED: f64 = 1e-10;
 /// Target errors with a recommendation, on states and on grids.
@@ -232,8 +238,7 @@ fn better(a: &Row, b: &Row) -> Ordering {
 /// Rank of the precision.
 fn width(row: &Row) -> Option<usize> {
     let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(Precision::name);
-    let mut names = ascending.iter();
-    names.position(|name| *name == row.text("precision"))
+    ascending.iter().position(|name| *name == row.text("precision"))
 }
 
 /// Preferred row among the fastest: least seconds at most the largest of the row with the least median, and at most `AS_FAST` times that median.
@@ -250,11 +255,8 @@ pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
 pub fn recommended<'r>(rows: &[&'r Row], targets: &[f64], error: impl Fn(&Row) -> f64) -> Vec<(f64, &'r Row)> {
     let mut found: Vec<(f64, &Row)> = Vec::new();
     for &target in targets.iter().rev() {
-        let meeting = rows.iter().copied().filter(|row| error(row) <= target);
-        let meeting: Vec<&Row> = meeting.collect();
-        let Some(mut best) = cheapest(&meeting) else {
-            continue;
-        };
+        let meeting: Vec<&Row> = rows.iter().copied().filter(|row| error(row) <= target).collect();
+        let Some(mut best) = cheapest(&meeting) else { continue };
         if let Some(&(_, lower)) = found.last() {
             let needs = |row: &Row| (row.count("cells"), row.count("grid"));
             let no_more = needs(lower) <= needs(best) && width(lower) <= width(best);
@@ -270,9 +272,8 @@ pub fn recommended<'r>(rows: &[&'r Row], targets: &[f64], error: impl Fn(&Row) -
 
 /// The larger of both errors; NaN if one is.
 fn error(row: &Row) -> f64 {
-    let others = ["error_v", "error_u"].into_iter();
-    let others = others.filter(|name| row.has(name)).map(|name| row.number(name));
-    others.fold(row.number("error_p"), larger)
+    let others = ["error_v", "error_u"].into_iter().filter(|name| row.has(name));
+    others.map(|name| row.number(name)).fold(row.number("error_p"), larger)
 }
 
 /// Rows with the least time per target, and the loosest tolerances that do not increase the errors of the grids.
@@ -282,12 +283,10 @@ pub fn derive(tables: &mut [Table]) {
         ("accuracy", "accuracy_best", &["scene", "frame"][..], TARGETS[0]),
         (grids, "accuracy_grids_best", &["problem"], TARGETS[1]),
     ] {
-        let solved = rows(tables, table).iter();
-        let solved = solved.filter(|row| is_solved(row.text("status")));
+        let solved = rows(tables, table).iter().filter(|row| is_solved(row.text("status")));
         let groups = grouped(solved, |row| Some(row.only(key)));
         let found = groups.iter().flat_map(|(_, rows)| recommended(rows, targets, error));
-        let found = found.map(|(target, row)| row.clone().with(row! { target: target }));
-        let found = found.collect();
+        let found = found.map(|(target, row)| row.clone().with(row! { target: target })).collect();
         replace(tables, best, found);
     }
     let key = ["problem", "grid", "precision", "grid_error_p", "grid_error_u"];
@@ -300,9 +299,8 @@ pub fn derive(tables: &mut [Table]) {
             let small = small("error_p", "grid_error_p") && small("error_u", "grid_error_u");
             is_solved(row.text("status")) && row.has("error_p") && small
         };
-        let tolerance = |row: &Row| row.number("tolerance");
         let loosest = rows.iter().filter(within);
-        let loosest = loosest.max_by(|a, b| tolerance(a).total_cmp(&tolerance(b)));
+        let loosest = loosest.max_by(|a, b| a.number("tolerance").total_cmp(&b.number("tolerance")));
         loosest.map_or(grid, |row| (*row).clone())
     });
     let enough = enough.collect();
@@ -328,19 +326,14 @@ fn draw_states(results: &Results) -> Page {
         ("divergence", "divergence, 1/s"),
     ];
     let name = |row: &Row| row.join(&["precision", "preconditioner", "formulation"]);
-    let state = |row: &Row| (row.text("scene").to_owned(), row.count("frame"));
+    let state = |row: &Row| format!("{}, frame {}", row.text("scene"), row.count("frame"));
     let groups = grouped(results.rows("accuracy"), |row| Some(state(row)));
-    let drawn = groups
-        .iter()
-        .flat_map(|((scene, frame), rows)| charts(rows, &format!("{scene}, frame {frame}"), &errors, name));
-    Page::Charts(2, drawn.collect())
+    Page::Charts(2, groups.iter().flat_map(|(state, rows)| charts(rows, state, &errors, name)).collect())
 }
 
 fn draw_grids(results: &Results) -> Page {
     let errors = [("error_p", "error of p over the largest p"), ("error_u", "speed over g dt")];
     let name = |row: &Row| format!("{} cells/m, {}", row.count("grid"), row.text("precision"));
     let problems = grouped(results.rows("accuracy_grids"), |row| Some(row.text("problem")));
-    let drawn = problems.iter();
-    let drawn = drawn.flat_map(|(problem, rows)| charts(rows, problem, &errors, name));
-    Page::Charts(2, drawn.collect())
+    Page::Charts(2, problems.iter().flat_map(|(problem, rows)| charts(rows, problem, &errors, name)).collect())
 }

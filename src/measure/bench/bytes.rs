@@ -23,16 +23,11 @@ pub(super) struct SolidBytes {
 }
 
 impl SolidBytes {
-    /// Sizes of solids on a device. `real`, `inner`: bytes of a scalar of the velocities and of the preconditioner.
-    pub(super) fn new(solids: &Solids, [real, inner]: [usize; 2]) -> SolidBytes {
-        let topology = Incidence::new(solids.rest.len(), &solids.elements);
-        SolidBytes {
-            nodes: solids.rest.len() as f64,
-            elements: solids.elements.len() as f64,
-            blocks: topology.n_blocks() as f64,
-            real: real as f64,
-            inner: inner as f64,
-        }
+    /// Sizes of solids on a device. `inner`, `real`: bytes of a scalar of the preconditioner and of the velocities.
+    pub(super) fn new(solids: &Solids, [inner, real]: [f64; 2]) -> SolidBytes {
+        let (nodes, elements) = (solids.rest.len(), &solids.elements);
+        let blocks = Incidence::new(nodes, elements).n_blocks() as f64;
+        SolidBytes { nodes: nodes as f64, elements: elements.len() as f64, blocks, real, inner }
     }
 
     /// A vector per node.
@@ -109,7 +104,7 @@ pub(super) enum Corrections {
     /// Pressures and velocities.
     TwoField {
         /// Degree of the solids' polynomial.
-        degree: usize,
+        degree: u32,
     },
     /// Pressures alone.
     Condensed {
@@ -167,7 +162,7 @@ impl SolveBytes {
     /// A coupled solve without its set-up. The outer loop is that of the solids alone; its other parts are small, as are the pairs of cells and nodes.
     pub(super) fn coupled(&self, solids: &SolidBytes, corrections: Corrections) -> f64 {
         let iteration = match corrections {
-            Corrections::TwoField { degree } => solids.two_field(self.preconditioner, degree as f64),
+            Corrections::TwoField { degree } => solids.two_field(self.preconditioner, degree.into()),
             // The wet compliance in f32, three components per node; vectors of the nodes are small beside it.
             Corrections::Condensed { wet_nodes } => 4.0 * (3.0 * wet_nodes as f64).powi(2),
         };

@@ -8,6 +8,7 @@ use plotters::prelude::*;
 use super::statistics::{Spread, grouped};
 use super::table::Row;
 use crate::Error;
+use crate::measure::remove;
 use crate::output::drawing::{Area, Failure, ink, write_svg};
 
 /// A page of pictures.
@@ -76,7 +77,7 @@ impl Page {
                 let charts = charts.iter().filter(|chart| !chart.lines.is_empty());
                 let charts: Vec<&Chart> = charts.collect();
                 if charts.is_empty() {
-                    return super::remove(path);
+                    return remove(path);
                 }
                 let across = charts.len().min(*across);
                 let down = charts.len().div_ceil(across);
@@ -90,7 +91,7 @@ impl Page {
             Page::Bars(lists) => {
                 let lists: Vec<&Bars> = lists.iter().filter(|list| !list.bars.is_empty()).collect();
                 if lists.is_empty() {
-                    return super::remove(path);
+                    return remove(path);
                 }
                 let heights: Vec<u32> = lists.iter().map(|list| list.height()).collect();
                 write_svg(path, (1100, heights.iter().sum()), |root| {

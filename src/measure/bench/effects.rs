@@ -98,8 +98,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
         })
     });
     run.cases(cases.collect())?;
-    let rows = run.results.rows("effects").iter();
-    let failed = rows.filter(|row| row.text("effect") == ABSENT && costs(row));
+    let failed = run.results.rows("effects").iter().filter(|row| row.text("effect") == ABSENT && costs(row));
     run.results.failures = failed.map(failure).collect();
     Ok(run.results)
 }
@@ -171,8 +170,7 @@ impl Timed {
         self.simulation.probes()?;
         let seconds = clock.elapsed().as_secs_f64();
         let dispatches = self.gpu().take_trace().dispatches;
-        let of_solve = dispatches.iter().filter(|(stage, _)| *stage == "solve");
-        let solve_dispatches = of_solve.count();
+        let solve_dispatches = dispatches.iter().filter(|(stage, _)| *stage == "solve").count();
         Ok(Cost { seconds, dispatches: dispatches.len() - solve_dispatches, solve_dispatches })
     }
 }
@@ -186,14 +184,11 @@ pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
         *first += usize::from(at < at_start);
         all.push(*bytes);
     }
-    let sums = labels.into_iter().map(|(label, (first, all))| {
-        let in_use = match label.ends_with("(read-back)") {
-            true => &all[..first],
-            false => &all[all.len() - first.max(1)..],
-        };
-        in_use.iter().sum::<u64>()
+    let in_use = labels.iter().flat_map(|(label, (first, all))| match label.ends_with("(read-back)") {
+        true => &all[..*first],
+        false => &all[all.len() - first.max(&1)..],
     });
-    sums.sum()
+    in_use.sum()
 }
 
 /// A reduced scene, and its pairs of sub-steps with the whole scene.
@@ -230,18 +225,16 @@ fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Row
             }
         }
     }
-    let rows = rows(scene, &whole, &parts).into_iter();
-    let (simulation, folder) = (&mut whole.simulation, scratch.frames());
-    let outputs = outputs::measure(scene, simulation, &states, &folder, &mut random)?.into_iter();
-    let outputs = outputs.map(|row| ("effects_outputs", row));
-    Ok(rows.map(|row| ("effects", row)).chain(outputs).collect())
+    let rows = rows(scene, &whole, &parts);
+    let outputs = outputs::measure(scene, &mut whole.simulation, &states, &scratch.frames(), &mut random)?;
+    let outputs = outputs.into_iter().map(|row| ("effects_outputs", row));
+    Ok(rows.into_iter().map(|row| ("effects", row)).chain(outputs).collect())
 }
 
 /// Kinds of probes of a scene.
 fn probe_kinds(scene: &Scene) -> Vec<&'static str> {
     let has = |is: &IsKind| scene.probes.iter().any(|probe| is(&probe.kind));
-    let kinds = PROBES.iter().filter(|(_, is)| has(is));
-    kinds.map(|(name, _)| *name).collect()
+    PROBES.iter().filter(|(_, is)| has(is)).map(|(name, _)| *name).collect()
 }
 
 /// The scene without each of its effects, the control, and the scene itself. A single kind of probes is the effect `probes`.
@@ -280,18 +273,19 @@ fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
     let control = part(ABSENT).expect("there is a control");
     let noise = part(ITSELF).and_then(|part| pairs::noise(&part.pairs));
     let kinds = probe_kinds(scene);
-    let names = EFFECTS.iter().map(|effect| (effect.name, (effect.present)(&effects)));
-    let names = names.chain([(COUPLING, effects.coupling)]);
-    let names = names.chain(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
-    let rows = names.chain([(ABSENT, false), (ITSELF, true)]).map(|(effect, present)| {
+    let mut names: Vec<_> = EFFECTS.iter().map(|effect| (effect.name, (effect.present)(&effects))).collect();
+    names.push((COUPLING, effects.coupling));
+    names.extend(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
+    names.extend([(ABSENT, false), (ITSELF, true)]);
+    let rows = names.into_iter().map(|(effect, present)| {
         let row = row! { scene: scene.name.as_str(), effect: effect, present: present };
         let compared = |pairs: &[Pair], without: &[&Part]| row.clone().with(compared(pairs, noise, whole, without));
         if !present {
             return compared(&control.pairs, &[control]);
         }
         if let (COUPLING, Some(liquid), Some(solids)) = (effect, part("solids"), part("liquid")) {
-            let pairs = liquid.pairs.iter().zip(&solids.pairs);
-            let pairs: Vec<Pair> = pairs.map(|(a, b)| pairs::against_both(*a, *b)).collect();
+            let both = liquid.pairs.iter().zip(&solids.pairs);
+            let pairs: Vec<Pair> = both.map(|(a, b)| pairs::against_both(*a, *b)).collect();
             return compared(&pairs, &[liquid, solids]);
         }
         let only = (kinds == [effect]).then(|| part("probes")).flatten();
@@ -310,10 +304,8 @@ fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]
     let [low, added, high] = Spread::quartiles(all.clone());
     let interval = pairs::interval(all.clone());
     let bytes: u64 = without.iter().map(|part| part.timed.bytes()).sum();
-    let others = without.iter().map(|part| part.timed.gpu().compiled());
-    let others: BTreeSet<&str> = others.flatten().collect();
-    let own = whole.gpu().compiled();
-    let own: Vec<&str> = own.difference(&others).copied().collect();
+    let others: BTreeSet<&str> = without.iter().flat_map(|part| part.timed.gpu().compiled()).collect();
+    let own: Vec<&str> = whole.gpu().compiled().difference(&others).copied().collect();
     row! {
         seconds_with: pairs::median(pairs, 0), seconds_without: pairs::median(pairs, 1), seconds_added: added, seconds_added_low: low,
         seconds_added_high: high, seconds_told: pairs::verdict(interval, added, noise), seconds_told_low: interval.map(|[low, _]| low),

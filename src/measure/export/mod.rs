@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::bench::remove;
+use super::remove;
 use crate::Error;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, norm};

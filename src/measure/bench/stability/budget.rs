@@ -113,10 +113,7 @@ impl Budget {
         let all = liquid_mass * g * half;
         let step = all.min(0.5 * density * g * area * half.powi(2));
         let fastest = start.liquid_speed.max(start.solid_speed);
-        let strain = match solid_mass > 0.0 {
-            true => start.elastic / solid_mass,
-            false => 0.0,
-        };
+        let strain = if solid_mass > 0.0 { start.elastic / solid_mass } else { 0.0 };
         budget.energy = start.energy();
         budget.available = start.motion() + released + step;
         budget.fall = (fastest.powi(2) + 2.0 * g * budget.height + 2.0 * strain).sqrt();
@@ -126,10 +123,7 @@ impl Budget {
     /// Energies and speeds of liquid and solids. Liquid of a larger volume than at the start has the mass of the start: spheres around flying
     /// markers cover more than their share.
     pub fn moment(&self, liquid: &Diagnosis, solids: &SolidDiagnosis) -> Moment {
-        let share = match liquid.volume > self.volume {
-            true => self.volume / liquid.volume,
-            false => 1.0,
-        };
+        let share = if liquid.volume > self.volume { self.volume / liquid.volume } else { 1.0 };
         let potential = liquid.potential_energy - self.density * liquid.volume * self.lowest;
         Moment {
             liquid_kinetic: share * liquid.kinetic_energy,

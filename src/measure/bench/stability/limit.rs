@@ -160,14 +160,12 @@ impl Limit {
             simulation.step()?;
             let state = simulation.state()?;
             let nodes = simulation.solids().rest.iter().zip(&state.node_velocity);
-            let at_end = nodes.filter(|(x, _)| (x.x - end).abs() < 1e-6);
-            let at_end: Vec<f64> = at_end.map(|(_, v)| v[0]).collect();
+            let at_end: Vec<f64> = nodes.filter(|(x, _)| (x.x - end).abs() < 1e-6).map(|(_, v)| v[0]).collect();
             velocities.push(at_end.iter().sum::<f64>() / at_end.len() as f64);
         }
         let changes: Vec<f64> = velocities.windows(2).map(|v| v[1] - v[0]).collect();
         let last = changes.len() - 1;
-        let got = (changes[last] / changes[last - over]).abs();
-        let got = got.powf(1.0 / over as f64);
+        let got = (changes[last] / changes[last - over]).abs().powf(1.0 / over as f64);
         let expected = self.growth();
         let off = got / expected - 1.0;
         let passed = off.abs() <= TOLERANCE && (got > 1.0) == (self.over > 1.0);
