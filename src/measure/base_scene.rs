@@ -57,11 +57,8 @@ pub struct DeviceScene<'a> {
 pub(super) fn block_fields(gpu: &Gpu, block: &BaseBlock, open: &[Vec<f64>; 3]) -> Result<[Buffer<f32>; 3], Error> {
     let (grid, padded) = (block.grid, block.grid.padded());
     let faces = |label, fields: &[Vec<f64>; 3]| {
-        let values = Axis::ALL.iter().flat_map(|&axis| {
-            let field = &fields[axis.index()];
-            padded.pad(grid.faces(axis), field, |value| value as f32)
-        });
-        gpu.buffer_with(label, &values.collect::<Vec<f32>>())
+        let values = Axis::ALL.map(|axis| padded.pad(grid.faces(axis), &fields[axis.index()], |value| value as f32));
+        gpu.buffer_with(label, &values.concat())
     };
     let distance = padded.pad(grid.cells, &block.liquid_distance, |value| value as f32);
     Ok([
@@ -105,16 +102,14 @@ impl<'a> DeviceScene<'a> {
         let rows = SolidRows::new(&scene.solids)?;
         let solids = SolidSystemBuffers::new(gpu, &rows, solver)?;
         // v* of the scene includes gravity.
-        let step = fields.step_of(glam::DVec3::ZERO, scene.dt);
-        gpu.upload(&fields.step, &[step]);
+        gpu.upload(&fields.step, &[fields.step_of(glam::DVec3::ZERO, scene.dt)]);
         let area = grid.dx * grid.dx;
-        let pairs: Vec<Pair> = (system.coupling.pairs().iter())
-            .map(|pair| Pair {
-                cell: padded.index(grid.cell_at(pair.cell)),
-                node: pair.node,
-                value: (pair.value / area).as_vec3().to_array(),
-            })
-            .collect();
+        let pairs = system.coupling.pairs().iter().map(|pair| Pair {
+            cell: padded.index(grid.cell_at(pair.cell)),
+            node: pair.node,
+            value: (pair.value / area).as_vec3().to_array(),
+        });
+        let pairs: Vec<Pair> = pairs.collect();
         let size = CouplingSize { quads: pairs.len(), pairs: pairs.len() };
         let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size)?;
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
@@ -179,9 +174,8 @@ impl<'a> DeviceScene<'a> {
     /// Records the set-up of both systems.
     pub fn record_systems(&self) -> Recorder {
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage(Stage::ActiveCells.name(), |pass| {
-            self.pressure.record(pass, &self.liquid, self.everywhere.within())
-        });
+        let within = self.everywhere.within();
+        recorder.stage(Stage::ActiveCells.name(), |pass| self.pressure.record(pass, &self.liquid, within));
         recorder.stage(Stage::SolidMatrices.name(), |pass| {
             self.rotations.record_in(pass);
             self.system.record_matrices(pass);
@@ -192,9 +186,6 @@ impl<'a> DeviceScene<'a> {
     }
 
     /// Sets both systems up and solves them.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn solve(&self) -> Result<CoupledOutcome, Error> {
         let (recorder, fields) = (self.record_systems(), self.fields());
         let (outcome, _) = self.solver.solve(self.gpu, recorder, fields, &self.polynomial, false)?;
@@ -202,9 +193,6 @@ impl<'a> DeviceScene<'a> {
     }
 
     /// The system as stored on the device after its set-up. `scene`: that of [`DeviceScene::new`].
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn stored(&self, scene: &BaseScene) -> Result<CoupledSystem, Error> {
         let grid = &self.grid;
         let prescribed = &scene.solids.prescribed;
@@ -228,9 +216,6 @@ impl<'a> DeviceScene<'a> {
     }
 
     /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn answer(&self) -> Result<(Vec<f64>, Vec<[f64; 3]>), Error> {
         let grid = &self.grid;
         let potential = self.liquid.potential.download(self.gpu)?;

@@ -172,9 +172,6 @@ impl Study {
     }
 
     /// Writes convergence.csv, convergence.json and convergence.svg; the files.
-    ///
-    /// # Errors
-    /// [`Error::Output`].
     pub fn write(&self, out: &Path) -> Result<Vec<PathBuf>, Error> {
         let scales = self.scales.iter().map(|scale| format!("scale={scale}"));
         let names = ["probe", "unit", "quantity"].map(str::to_owned).into_iter();

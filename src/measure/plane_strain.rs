@@ -227,8 +227,7 @@ poisson = {:?}
             }
         }
         let near = DVec3::splat(0.01 * dx);
-        let loaded = mesh.nodes.iter().zip(forces);
-        let loaded = loaded.filter(|(_, force)| *force != DVec3::ZERO);
+        let loaded = mesh.nodes.iter().zip(forces).filter(|(_, force)| *force != DVec3::ZERO);
         loaded
             .map(|(&x, force)| Load {
                 region: Shape::Box { min: x - near, max: x + near },

@@ -33,8 +33,7 @@ pub(super) fn pressure(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt
         }
         None => density * grid.dx / dt,
     };
-    let potential = liquid.potential.iter();
-    potential.map(|phi| pascal * phi).collect()
+    liquid.potential.iter().map(|phi| pascal * phi).collect()
 }
 
 /// Whether a patch lies in a cell that is an unknown.

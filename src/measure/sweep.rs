@@ -403,9 +403,6 @@ impl Sweep {
 
     /// Locks a run for this process, or `None` if another has locked it. Creates its folder and removes the record of an earlier attempt. Closing the
     /// file and all its duplicates unlocks the run. Pass it on to the process of the run: that remains alone if this process is killed.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if the folder cannot be written.
     pub fn lock(&self, number: usize) -> Result<Option<File>, Error> {
         let folder = &self.runs[number].folder;
         let failed = |problem: std::io::Error| Error::unwritten(folder, &problem);
@@ -427,9 +424,6 @@ impl Sweep {
     }
 
     /// Records the end of a run: its exit code, or `None` if a signal ended it, and its error message.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if it cannot be written.
     pub fn record_end(&self, number: usize, exit_code: Option<i32>, problem: Option<String>) -> Result<(), Error> {
         let run = &self.runs[number];
         let Ok(Checked { hash, .. }) = &run.scene else {
@@ -441,9 +435,6 @@ impl Sweep {
     }
 
     /// Writes summary.csv from the folders of all runs, also of other shards. A lock orders the processes, so that the last one writes it complete.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if it cannot be written.
     pub fn write_summary(&self) -> Result<(), Error> {
         let out = &self.options.out;
         fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;

@@ -13,7 +13,7 @@ mod states;
 
 use std::cmp::Ordering;
 
-use super::chart::{Chart, Page, at, lines};
+use super::chart::{Chart, Page, lines};
 use super::ended::is_solved;
 use super::statistics::grouped;
 use super::table::{Row, Table, columns, row};
@@ -243,11 +243,9 @@ fn width(row: &Row) -> Option<usize> {
 
 /// Preferred row among the fastest: least seconds at most the largest of the row with the least median, and at most `AS_FAST` times that median.
 pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
-    let seconds = rows.iter().filter_map(|row| row.spread("seconds"));
-    let fastest = seconds.min_by(|a, b| a.median.total_cmp(&b.median))?;
+    let fastest = rows.iter().filter_map(|row| row.spread("seconds")).min_by(|a, b| a.median.total_cmp(&b.median))?;
     let most = fastest.max.min(AS_FAST * fastest.median);
-    let equal = rows.iter().filter(|row| row.number("seconds_min") <= most);
-    equal.min_by(|a, b| better(a, b)).copied()
+    rows.iter().filter(|row| row.number("seconds_min") <= most).min_by(|a, b| better(a, b)).copied()
 }
 
 /// Cheapest row for each of the descending targets that any row meets. The row of the next lower target is preferred if it needs no more time, cells and
@@ -312,7 +310,7 @@ fn charts(rows: &[&Row], title: &str, errors: &[(&str, &'static str)], name: imp
     let chart = |&(column, axis): &(&str, &'static str)| Chart {
         title: title.to_owned(),
         axes: ["seconds of the solve", axis],
-        lines: lines(rows.iter().copied(), &name, at(["seconds", column])),
+        lines: lines(rows.iter().copied(), &name, ["seconds", column]),
         falling: true,
     };
     errors.iter().map(chart).collect()

@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use super::chart::Page;
 use super::statistics::Spread;
 use super::table::{Table, columns, row};
 use super::{Bench, Case, Listener, Machine, Results, Run, Settings};
@@ -37,7 +36,7 @@ pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Res
         name: "device",
         tables: vec![Table::new("device", &[DEVICE], &["quantity"])],
         derive: |_| {},
-        pictures: &[("device", |_| Page::Bars(Vec::new()))],
+        pictures: &[],
     };
     let machine = Machine::new(gpu, settings.repeats)?;
     let mut run = Run::start(bench, machine, &(), settings, listener)?;

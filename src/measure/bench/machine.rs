@@ -57,9 +57,6 @@ impl Machine {
     }
 
     /// Host and device; measures the copy bandwidth.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn new(gpu: &Gpu, repeats: usize) -> Result<Machine, Error> {
         Ok(Machine {
             adapter: Some(gpu.report().name.clone()),
@@ -87,8 +84,7 @@ impl Machine {
 fn cpu() -> Option<String> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;
     let mut lines = text.lines().filter_map(|line| line.split_once(':'));
-    let (_, model) = lines.find(|(key, _)| key.trim() == "model name")?;
-    Some(model.trim().to_owned())
+    lines.find(|(key, _)| key.trim() == "model name").map(|(_, model)| model.trim().to_owned())
 }
 
 /// Bytes of each of the two buffers: larger than the caches of CPUs, and of GPUs.

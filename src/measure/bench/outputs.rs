@@ -58,9 +58,6 @@ pub struct Scratch {
 
 impl Scratch {
     /// Creates it below `out`, and removes the frames of a killed bench.
-    ///
-    /// # Errors
-    /// [`Error::Output`].
     pub fn new(out: &Path) -> Result<Scratch, Error> {
         let folder = out.join(".bench_effects");
         let failed = |problem: io::Error| Error::unwritten(&folder, &problem);

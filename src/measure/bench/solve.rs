@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use super::bytes::{Corrections, SolidBytes, SolveBytes};
-use super::chart::{Chart, Page, at, lines};
+use super::chart::{Chart, Page, lines};
 use super::ended::Ended;
 use super::statistics::{Spread, exponent, grouped};
 use super::table::{Row, Table, columns, row};
@@ -379,8 +379,7 @@ impl Measurement<'_> {
             gpu.wait("bench")?;
             let (before, clock) = (gpu.traffic(), Instant::now());
             if let Some(reference) = job.checked_sub(1).map(|job| solving[job]) {
-                let reports = system.solve(reference.solver, &reference.settings)?;
-                let ended = reports.map(|reports| Ended::new(&reports));
+                let ended = system.solve(reference.solver, &reference.settings)?.map(|reports| Ended::new(&reports));
                 return Ok((clock.elapsed().as_secs_f64(), (ended, Traffic::default())));
             }
             let again = device.set_up_and_solve(gpu)?;
@@ -509,8 +508,8 @@ fn draw(results: &Results) -> Page {
     let device = |row: &Row| row.join(&["formulation", "preconditioner", "precision"]) + &beam(row);
     let other = |row: &Row| format!("{} on the CPU{}", row.join(&["formulation", "rival"]), beam(row));
     let point = ["active_cells", "seconds"];
-    let mut all = lines(results.rows("solve"), device, at(point));
-    all.extend(lines(results.rows("solve_against"), other, at(point)));
+    let mut all = lines(results.rows("solve"), device, point);
+    all.extend(lines(results.rows("solve_against"), other, point));
     let chart = Chart {
         title: format!("Solve, {}", results.machine.name()),
         axes: ["active cells", "seconds"],

@@ -268,8 +268,7 @@ fn fail_step(row: &mut Row, problem: String) {
 /// Largest mean growth of a speed per sub-step within `GROWTH_STEPS`, from energies that were at least `GROWTH_FROM`.
 pub fn growth(energies: &[f64]) -> Option<f64> {
     let after = |at: usize| {
-        let later = energies[at + 1..].iter().take(GROWTH_STEPS);
-        let grown = later.copied().reduce(f64::max)? / energies[at];
+        let grown = energies[at + 1..].iter().take(GROWTH_STEPS).copied().reduce(f64::max)? / energies[at];
         (energies[at] >= GROWTH_FROM).then(|| grown.powf(0.5 / GROWTH_STEPS as f64))
     };
     (0..energies.len()).filter_map(after).reduce(f64::max)

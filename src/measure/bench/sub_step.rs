@@ -59,9 +59,6 @@ impl Mask {
 const BEFORE: [Stage; 2] = [Stage::Forces, Stage::LiquidDistance];
 
 /// GPU paths of a scene with several solvers, compiled by the sub-step after a state. Solvers in f64 are skipped where the adapter lacks it.
-///
-/// # Errors
-/// Errors of the simulation.
 pub(super) fn open_paths(
     scene: &Scene,
     solvers: impl IntoIterator<Item = Solver>,
@@ -128,8 +125,7 @@ pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
 
 /// Seconds of some stages of a sub-step.
 pub(super) fn stage_seconds(report: &StepReport, stages: &[&str]) -> f64 {
-    let seconds = report.seconds.iter();
-    seconds.filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
+    report.seconds.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
 }
 
 /// Largest errors of pressure (Pa), node velocity and face velocity (m/s) of a liquid and solids at rest; NaN if any value is.

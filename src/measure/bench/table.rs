@@ -345,8 +345,7 @@ impl Table {
 
     /// Names of the columns that the terminal shows.
     pub fn heading(&self) -> String {
-        let shown = self.columns().filter(|column| column.shown);
-        shown.map(|column| padded(heading(column), column)).collect()
+        self.columns().filter(|column| column.shown).map(|column| padded(heading(column), column)).collect()
     }
 
     /// The values of a row that the terminal shows.

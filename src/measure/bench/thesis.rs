@@ -9,7 +9,7 @@ mod systems;
 
 use std::path::PathBuf;
 
-use super::chart::{Chart, Page, at, lines};
+use super::chart::{Chart, Page, lines};
 use super::statistics::grouped;
 use super::table::{Row, Table, row};
 use super::{Bench, Case, Listener, Machine, Results, Run, Settings, replace, rows};
@@ -157,9 +157,8 @@ fn draw(results: &Results) -> Page {
         ] {
             let name = |row: &Row| row.join(&["backend", "precision", "patch_pressure"]);
             let thesis = rows.iter().copied().filter(|row| name(row) == "cpu f64 cell");
-            let mut all = lines(rows.iter().copied(), name, at(columns));
-            let printed = at([columns[0], printed]);
-            all.extend(lines(thesis, |_| "printed".to_owned(), printed));
+            let mut all = lines(rows.iter().copied(), name, columns);
+            all.extend(lines(thesis, |_| "printed".to_owned(), [columns[0], printed]));
             charts.push(Chart { title: format!("Table {table}"), axes, lines: all, falling: true });
         }
     }
@@ -181,8 +180,8 @@ fn draw_systems(means: &[Row]) -> Vec<Chart> {
         let thesis =
             rows.iter().copied().filter(|row| row.text("backend") == "cpu" && row.text("formulation") != "condensed");
         let printed = |row: &Row| format!("printed, {}", row.text("formulation"));
-        let mut all = lines(rows.iter().copied(), name, at(["grid", "mean"]));
-        all.extend(lines(thesis, printed, at(["grid", "thesis"])));
+        let mut all = lines(rows.iter().copied(), name, ["grid", "mean"]);
+        all.extend(lines(thesis, printed, ["grid", "thesis"]));
         let title = match nodes {
             0 => format!("Table {table}"),
             nodes => format!("Table {table}, {nodes} nodes"),

@@ -472,8 +472,7 @@ impl<'a> SolidComparison<'a> {
 
 /// Sum of the magnitudes of the terms of an element's displacement gradient.
 fn gradient_terms(solids: &Solids, after: &SolidSnapshot, element: usize) -> f64 {
-    let corners = solids.elements[element];
-    let u = corners.map(|node| DVec3::from(after.displacement[node as usize]));
+    let u = solids.elements[element].map(|node| DVec3::from(after.displacement[node as usize]));
     let g = &solids.gradients[element];
     (1..4).map(|a| (u[a] - u[0]).length() * g[a].length()).sum()
 }

@@ -45,10 +45,8 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         component.iter().for_each(|&cell| x[cell] -= level);
     }
     let solution = blocks.gather(&x);
-    let components = blocks.components.iter();
-    let minus_w: Vec<f64> = components.map(|&at| system.solid.rhs[at]).collect();
-    let cells = blocks.cells.iter();
-    let e: Vec<f64> = cells.map(|&cell| system.pressure.rhs[cell]).collect();
+    let minus_w: Vec<f64> = blocks.components.iter().map(|&at| system.solid.rhs[at]).collect();
+    let e: Vec<f64> = blocks.cells.iter().map(|&cell| system.pressure.rhs[cell]).collect();
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
     let both = |v: &[f64]| e.iter().chain(v).copied().collect::<Vec<f64>>();
     let (stress, stress_matrix) = variables.system(&blocks)?;

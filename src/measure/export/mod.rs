@@ -165,17 +165,12 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         (false, false) => solids::system(scene, options)?,
         (true, false) => coupled::system(scene, options)?,
     };
-    let status = status(&ran.report);
+    let status = ran.report.solves().next().map_or(SolveStatus::Converged, |solve| solve.status);
     if matches!(status, SolveStatus::Breakdown | SolveStatus::NonFinite) {
-        let ended = status.name();
-        return Err(Error::Stage {
-            stage: "solve",
-            step: options.step,
-            problem: format!("the solve ended with {ended}: there is no system to write"),
-        });
+        let problem = format!("the solve ended with {}: there is no system to write", status.name());
+        return Err(Error::Stage { stage: "solve", step: options.step, problem });
     }
-    let rhs_norm = norm(&system.rhs);
-    let residual = norm(&residual(&system));
+    let (rhs_norm, residual) = (norm(&system.rhs), norm(&residual(&system)));
     let meta = Meta {
         cutwater: env!("CARGO_PKG_VERSION"),
         scene: scene.name.clone(),
@@ -192,10 +187,7 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         status: status.name(),
         unknowns: system.matrix.n_rows(),
         entries: system.matrix.n_entries(),
-        residual: match rhs_norm > 0.0 {
-            true => residual / rhs_norm,
-            false => 0.0,
-        },
+        residual: if rhs_norm > 0.0 { residual / rhs_norm } else { 0.0 },
     };
     let [matrix, rhs, solution] = system.comments;
     let json = serde_json::to_string_pretty(&meta).map_err(|problem| Error::output(out, problem))?;
@@ -218,26 +210,17 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
 
 /// Refuses a folder with other contents than an earlier export: the owner of its files is unknown.
 fn ensure_replaceable(out: &Path) -> Result<(), Error> {
-    let refused = |name: &str, problem: &str, cure: &str| {
-        let what = out.join(name).display().to_string();
-        Err(Error::input(what, problem, cure))
-    };
-    let manifest = "manifest.json";
-    if out.join(manifest).exists() {
-        let cure = "choose another folder with --out";
-        return refused(manifest, "the folder holds a run", cure);
-    }
-    if is_meta(&out.join("meta.json")) {
+    let (name, problem, cure) = if out.join("manifest.json").exists() {
+        ("manifest.json", "the folder holds a run", "choose another folder with --out")
+    } else if let Some(name) = FILES.iter().find(|name| out.join(name).exists())
+        && !is_meta(&out.join("meta.json"))
+    {
+        let problem = "the export would replace it, and no meta.json says that it is of an earlier one";
+        (*name, problem, "choose another folder with --out, or remove by hand what is in this one")
+    } else {
         return Ok(());
-    }
-    match FILES.iter().find(|name| out.join(name).exists()) {
-        Some(name) => refused(
-            name,
-            "the export would replace it, and no meta.json says that it is of an earlier one",
-            "choose another folder with --out, or remove by hand what is in this one",
-        ),
-        None => Ok(()),
-    }
+    };
+    Err(Error::input(out.join(name).display().to_string(), problem, cure))
 }
 
 /// Whether a file is the meta.json of an export, of this version or another.
@@ -252,14 +235,7 @@ fn is_meta(path: &Path) -> bool {
 fn residual(system: &System) -> Vec<f64> {
     let mut product = vec![0.0; system.rhs.len()];
     system.matrix.multiply(&system.solution, &mut product);
-    let pairs = system.rhs.iter().zip(product);
-    pairs.map(|(b, product)| b - product).collect()
-}
-
-/// Status of the first solve of a sub-step.
-fn status(report: &StepReport) -> SolveStatus {
-    let first = report.solves().next();
-    first.map_or(SolveStatus::Converged, |solve| solve.status)
+    system.rhs.iter().zip(product).map(|(b, product)| b - product).collect()
 }
 
 /// Runs the GPU path to a sub-step and reads a value back after one of its stages. `read`: called with each finished stage and the length of the
@@ -288,8 +264,7 @@ fn on_gpu<T>(
         })?;
         if let Some(value) = value {
             let adapter = Some(path.gpu().report().name.clone());
-            let sub_step = SubStep { dt, report, adapter };
-            return Ok((value, sub_step));
+            return Ok((value, SubStep { dt, report, adapter }));
         }
     }
 }
@@ -316,8 +291,7 @@ fn on_cpu<T>(
             }
         })?;
         if let Some(value) = value {
-            let sub_step = SubStep { dt: time_step.dt, report, adapter: None };
-            return Ok((value, sub_step, path));
+            return Ok((value, SubStep { dt: time_step.dt, report, adapter: None }, path));
         }
         if reached {
             return Err(no_system_of_both(step));
@@ -330,13 +304,11 @@ fn ensure_within(scene: &Scene, step: u64, (done, frame): (u64, u64)) -> Result<
     if frame < scene.n_frames() {
         return Ok(());
     }
+    let last = done.saturating_sub(1);
     Err(Error::input(
         format!("--step {step}"),
         format!("the scene is over after {done} sub-steps"),
-        format!(
-            "choose one from 0 to {}, or let the scene last longer: --set time.duration=...",
-            done.saturating_sub(1)
-        ),
+        format!("choose one from 0 to {last}, or let the scene last longer: --set time.duration=..."),
     ))
 }
 

@@ -63,20 +63,18 @@ pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
 
 /// Density of the liquid, kg/m^3.
 pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
-    let liquid = scene.liquid.as_ref().ok_or_else(|| {
+    scene.liquid.as_ref().map(|liquid| liquid.density).ok_or_else(|| {
         Error::input(
             scene.file.display().to_string(),
             "the scene has neither liquid nor solids, so there is no system",
             "add a [liquid] section with a region, or a [[solid]]",
         )
-    })?;
-    Ok(liquid.density)
+    })
 }
 
 /// The system stored on the device, in SI units, and the pressure, Pa.
 fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
-    let snapshot = path.snapshot()?.liquid;
-    let snapshot = snapshot.expect("the scene has liquid");
+    let snapshot = path.snapshot()?.liquid.expect("the scene has liquid");
     let mut system = stored::pressure_system(path, &snapshot, density, dt);
     if snapshot.separated.contains(&true) {
         system = system.masked(&snapshot.separated);

@@ -149,8 +149,7 @@ impl<'a> Case<'a> {
 
 /// Largest difference over the largest exact value, of the values that count; 0 without a difference, NaN if any value is.
 fn relative(found: &[f64], exact: &[f64], counts: Option<&[bool]>) -> f64 {
-    let pairs = found.iter().zip(exact).enumerate();
-    let pairs = pairs.filter(|(at, _)| counts.is_none_or(|counts| counts[*at]));
+    let pairs = found.iter().zip(exact).enumerate().filter(|(at, _)| counts.is_none_or(|counts| counts[*at]));
     let [off, largest] =
         pairs.fold([0.0; 2], |[off, largest], (_, (a, b))| [larger(off, (a - b).abs()), larger(largest, b.abs())]);
     if off == 0.0 { 0.0 } else { off / largest }

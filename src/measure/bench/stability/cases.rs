@@ -90,9 +90,6 @@ pub struct Case {
 
 impl Case {
     /// Its scene.
-    ///
-    /// # Errors
-    /// As [`Scene::load`].
     pub fn scene(&self) -> Result<Scene, Error> {
         let file = format!("{}.toml", self.name);
         Scene::parse(file.as_ref(), &self.text, &self.overrides, self.scale)

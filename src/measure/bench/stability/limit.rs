@@ -144,9 +144,6 @@ impl Limit {
     }
 
     /// Measures the growth.
-    ///
-    /// # Errors
-    /// Errors of the simulation.
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         // Until the other roots have decayed: without a spring the only one is 1, with a constant velocity.
         let (steps, over) = match self.omega_dt > 0.0 {

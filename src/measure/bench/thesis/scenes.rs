@@ -93,8 +93,7 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     // The first compiles.
     simulation.step()?;
-    let steps = (0..options.steps.max(1)).map(|_| simulation.step());
-    let reports = steps.collect::<Result<Vec<StepReport>, _>>()?;
+    let reports = (0..options.steps.max(1)).map(|_| simulation.step()).collect::<Result<Vec<StepReport>, _>>()?;
     let (name, _, grid, nodes, elements) = PRINTED[number];
     let ended = reports.iter().map(|report| {
         let solves: Vec<SolveReport> = report.solves().collect();

@@ -461,8 +461,7 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
             _ => &["nonzeros"],
         };
         for &quantity in quantities {
-            let values = rows.iter().filter_map(|row| values(row, quantity));
-            let values: Vec<[f64; 3]> = values.collect();
+            let values: Vec<[f64; 3]> = rows.iter().filter_map(|row| values(row, quantity)).collect();
             if values.is_empty() {
                 continue;
             }

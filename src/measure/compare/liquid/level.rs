@@ -79,8 +79,7 @@ impl LiquidComparison<'_> {
 
     /// A field with air outside the band, where the device has none.
     fn with_air(&self, of: &LiquidSnapshot, field: &[f64]) -> Vec<f64> {
-        let pairs = field.iter().zip(&of.band);
-        pairs.map(|(&phi, &band)| if band { phi } else { REACH }).collect()
+        field.iter().zip(&of.band).map(|(&phi, &band)| if band { phi } else { REACH }).collect()
     }
 
     /// Compares the cells of the band. `twins`: from the inputs, and from inputs moved by their rounding.

@@ -380,8 +380,7 @@ impl<'a> LiquidComparison<'a> {
     /// The same for positions that are off by their error; none where nothing is ballistic. Where one decides otherwise, either is right.
     fn near_ballistic(&self) -> impl Iterator<Item = Ballistic<'_>> {
         let (ballistic, near) = (self.ballistic(), NEAR_BALLISTIC * self.extent() * EPS);
-        let corners = corners().filter(move |_| !ballistic.is_none());
-        corners.map(move |corner| ballistic.off_by(near * corner))
+        corners().filter(move |_| !ballistic.is_none()).map(move |corner| ballistic.off_by(near * corner))
     }
 
     /// One product and one sum; on faces of sources one rounding.
@@ -646,8 +645,7 @@ impl<'a> LiquidComparison<'a> {
         }
         let (cut, velocity, open) = (&self.cut, &after.velocity, self.open_to_flux());
         // Separated cells open.
-        let masked = after.separated.contains(&true);
-        let masked = masked.then(|| stencil.masked(&after.separated));
+        let masked = after.separated.contains(&true).then(|| stencil.masked(&after.separated));
         let solved = masked.as_ref().unwrap_or(&stencil);
         let left = reference::divergence(&open, velocity, solved, boundary_flux.as_deref());
         let mut twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
@@ -809,8 +807,7 @@ fn close(gpu: &Marker, twin: &Marker, bound: f64) -> bool {
 /// Whether the rounding of its start decides the end of a marker: the gradient of the distance jumps, or its sign changes. Compares with starts
 /// shifted by the bound (m) along each diagonal.
 fn depends_on_start(start: [f64; 3], gpu: &Marker, bound: f64, advect: impl Fn([f64; 3]) -> Marker) -> bool {
-    let shifted = corners().map(|corner| advect((DVec3::from(start) + bound * corner).into()));
-    let shifted: Vec<Marker> = shifted.collect();
+    let shifted: Vec<Marker> = corners().map(|corner| advect((DVec3::from(start) + bound * corner).into())).collect();
     let Some(x) = gpu else { return shifted.iter().any(Option::is_none) };
     (0..3).all(|a| {
         let ends = || shifted.iter().flatten().map(|end| end[a]);

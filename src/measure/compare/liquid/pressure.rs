@@ -233,8 +233,7 @@ fn unit_system(active: ActiveCells, rhs: Vec<f64>, rhs_scale: f64) -> PressureSy
 /// |B| |x| per cell.
 fn magnitudes(stencil: &Stencil, x: &[f64]) -> Vec<f64> {
     let magnitude = |cell: usize| {
-        let others = stencil.neighbours(cell);
-        let others = others.iter().map(|&(at, weight)| weight * x[at].abs());
+        let others = stencil.neighbours(cell).into_iter().map(|(at, weight)| weight * x[at].abs());
         stencil.diagonal[cell] * x[cell].abs() + others.sum::<f64>()
     };
     (0..x.len()).map(magnitude).collect()
