@@ -39,6 +39,9 @@ pub const COUPLING: &str = "coupling";
 /// Largest probability that an absent effect without cost fails by its seconds: of ten pairs all have to be slower.
 const FALSE_ALARM: f64 = 1e-3;
 
+/// Columns that are 0 of effects without cost.
+const COUNTS: [&str; 4] = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
+
 /// Scenes to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -105,21 +108,19 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
 
 /// Whether absent effects have a cost, by a row of the control; for seconds with an error probability of `FALSE_ALARM`.
 pub fn costs(row: &Row) -> bool {
-    let counts = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
-    let same = counts.iter().all(|name| row.number(name) == 0.0);
+    let same = COUNTS.iter().all(|name| row.number(name) == 0.0);
     let [pairs, slower] = ["pairs", "slower"].map(|name| row.count(name));
     let slower = row.text("seconds_told") == pairs::ADDS && pairs::at_most(pairs - slower, pairs) <= FALSE_ALARM;
     !(same && row.text("kernels").is_empty()) || slower
 }
 
 fn failure(row: &Row) -> String {
-    let [bytes, dispatches, solve, differ, n] =
-        ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ", "pairs"]
-            .map(|name| row.number(name));
+    let [bytes, dispatches, solve, differ] = COUNTS.map(|name| row.number(name));
     format!(
-        "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {n} pairs), \
+        "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {} pairs), \
          kernels: {}; seconds {:.2e}, more in {} pairs",
         row.text("scene"),
+        row.count("pairs"),
         row.text("kernels"),
         row.number("seconds_added"),
         row.count("slower"),
@@ -260,11 +261,8 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
         scenes.push((name, without));
     }
     scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
-    let parts = scenes.into_iter().map(|(name, scene)| {
-        let timed = Timed::new(scene, &options.adapter)?;
-        Ok(Part { name, timed, pairs: Vec::new() })
-    });
-    parts.collect()
+    let part = |(name, scene)| Ok(Part { name, timed: Timed::new(scene, &options.adapter)?, pairs: Vec::new() });
+    scenes.into_iter().map(part).collect()
 }
 
 fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
@@ -318,9 +316,8 @@ fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]
 
 /// A bar from the first to the third quartile of the added seconds, a mark at the median; grey where the seconds are noise.
 fn draw(results: &Results) -> Page {
-    let rows = results.rows("effects").iter();
-    let rows = rows.filter(|row| (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added"));
-    let bars = rows.map(|row| {
+    let drawn = |row: &&Row| (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added");
+    let bars = results.rows("effects").iter().filter(drawn).map(|row| {
         let [low, median, high] =
             ["seconds_added_low", "seconds_added", "seconds_added_high"].map(|name| 1e3 * row.number(name));
         let verdict = row.text("seconds_told");
@@ -328,10 +325,6 @@ fn draw(results: &Results) -> Page {
         let name = format!("{}: {}", row.text("scene"), row.text("effect"));
         (name, vec![(part.to_owned(), low, high)], median)
     });
-    Page::Bars(vec![Bars {
-        title: "time that effects add to a sub-step".to_owned(),
-        axis: "ms",
-        bars: bars.collect(),
-        key: false,
-    }])
+    let title = "time that effects add to a sub-step".to_owned();
+    Page::Bars(vec![Bars { title, axis: "ms", bars: bars.collect(), key: false }])
 }

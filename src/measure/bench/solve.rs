@@ -510,11 +510,6 @@ fn draw(results: &Results) -> Page {
     let point = ["active_cells", "seconds"];
     let mut all = lines(results.rows("solve"), device, point);
     all.extend(lines(results.rows("solve_against"), other, point));
-    let chart = Chart {
-        title: format!("Solve, {}", results.machine.name()),
-        axes: ["active cells", "seconds"],
-        lines: all,
-        falling: false,
-    };
-    Page::Charts(1, vec![chart])
+    let title = format!("Solve, {}", results.machine.name());
+    Page::Charts(1, vec![Chart { title, axes: ["active cells", "seconds"], lines: all, falling: false }])
 }

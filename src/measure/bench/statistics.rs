@@ -32,9 +32,7 @@ impl Spread {
 
     /// Spread of the values times a factor above 0.
     pub fn times(self, factor: f64) -> Spread {
-        let Spread { median, min, max } = self;
-        let [median, min, max] = [median, min, max].map(|value| factor * value);
-        Spread { median, min, max }
+        Spread { median: factor * self.median, min: factor * self.min, max: factor * self.max }
     }
 
     /// Sum with another spread.

@@ -245,10 +245,7 @@ impl<'a> Record<'a> {
         let first = &repeats[0];
         let mean = |value: &dyn Fn(&Sample) -> f64| mean(first, value);
         let seconds = over_repeats(repeats, &|sample| sample.seconds);
-        let sub_step = |n: usize| {
-            let runs = repeats.iter().map(|repeat| repeat[n].seconds);
-            Spread::of(runs.collect()).median
-        };
+        let sub_step = |n: usize| Spread::of(repeats.iter().map(|repeat| repeat[n].seconds).collect()).median;
         let kind = self.case.key().with(row! { kind: kind });
         let [[unknowns, iterations], [solid_unknowns, solid_iterations]] =
             [0, 1].map(|part| [0, 1].map(|number| mean(&|sample| sample.solves()[part][number])));
@@ -295,8 +292,7 @@ fn mean(samples: &[&Sample], value: &dyn Fn(&Sample) -> f64) -> f64 {
 
 /// Spread over the runs of their means.
 fn over_repeats(repeats: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spread {
-    let means = repeats.iter().map(|samples| mean(samples, value));
-    Spread::of(means.collect())
+    Spread::of(repeats.iter().map(|samples| mean(samples, value)).collect())
 }
 
 /// Growth with the grid, the solids' meshes, and both.
@@ -349,12 +345,8 @@ fn draw(results: &Results) -> Page {
             };
             (name, parts.collect(), 1e3 * row.number("seconds_median"))
         });
-        Bars {
-            title: format!("{scene}: a sub-step, {}", results.machine.name()),
-            axis: "ms",
-            bars: bars.collect(),
-            key: true,
-        }
+        let title = format!("{scene}: a sub-step, {}", results.machine.name());
+        Bars { title, axis: "ms", bars: bars.collect(), key: true }
     });
     Page::Bars(lists.collect())
 }

@@ -43,10 +43,9 @@ impl Mask {
         let open = &path.cut_cells().open;
         let faces = Axis::ALL.map(|axis| {
             let counts = |face: usize| {
-                let sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter();
+                let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
                 // Without liquid no cell has an entry.
-                let active = |cell: usize| cells.get(cell).is_some_and(|active| *active);
-                let beside = sides.flatten().any(active);
+                let beside = sides.any(|cell| cells.get(cell).is_some_and(|active| *active));
                 beside && open[axis.index()][face] > 0.0
             };
             (0..grid.n_faces(axis)).map(counts).collect()
@@ -138,11 +137,8 @@ pub(super) fn rest_errors(
 ) -> [f64; 3] {
     let grid = scene.grid();
     let cells = done.solution.pressure.iter().zip(&mask.cells).enumerate();
-    let off = cells.filter(|(_, (_, counts))| **counts);
-    let off = off.filter_map(|(cell, (p, _))| {
-        let exact = pressure(grid.cell_centre(grid.cell_at(cell)))?;
-        Some((p - exact).abs())
-    });
+    let exact = |cell| pressure(grid.cell_centre(grid.cell_at(cell)));
+    let off = cells.filter(|(_, (_, counts))| **counts).filter_map(|(cell, (p, _))| Some((p - exact(cell)?).abs()));
     let faces = done.faces.iter().flatten().zip(mask.faces.iter().flatten());
     let faces = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
     let nodes = done.solution.velocity.as_flattened().iter();

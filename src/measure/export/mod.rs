@@ -25,7 +25,7 @@ use serde_json::{Map, Value};
 use super::remove;
 use crate::Error;
 use crate::gpu::AdapterChoice;
-use crate::linalg::{Csr, norm};
+use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::{FolderLock, write_atomically};
 use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
@@ -113,34 +113,19 @@ struct System {
     solution: Vec<f64>,
     /// Comments of matrix, right-hand side and solution, with units.
     comments: [&'static str; 3],
-    /// Names and texts of other files.
-    others: Vec<(&'static str, String)>,
+    others: Vec<File>,
     part: Value,
 }
 
-/// Matrices and vectors as files: name, kind, values, comment.
-macro_rules! files {
-    ($($name:literal $kind:ident $values:expr, $comment:literal;)*) => {
-        vec![$(($name, $crate::measure::export::text::$kind($values, $comment))),*]
-    };
+/// Name and text of a file.
+type File = (&'static str, String);
+
+fn symmetric(name: &'static str, matrix: &Csr, comment: &str) -> File {
+    (name, matrix_text(matrix, Symmetry::Symmetric, comment))
 }
-use files;
 
-/// Texts of Matrix Market files.
-mod text {
-    use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
-
-    pub(super) fn symmetric(matrix: &Csr, comment: &str) -> String {
-        matrix_text(matrix, Symmetry::Symmetric, comment)
-    }
-
-    pub(super) fn general(matrix: &Csr, comment: &str) -> String {
-        matrix_text(matrix, Symmetry::General, comment)
-    }
-
-    pub(super) fn vector(values: &[f64], comment: &str) -> String {
-        vector_text(values, comment)
-    }
+fn vector(name: &'static str, values: &[f64], comment: &str) -> File {
+    (name, vector_text(values, comment))
 }
 
 /// Result of a sub-step.
@@ -192,9 +177,9 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
     let [matrix, rhs, solution] = system.comments;
     let json = serde_json::to_string_pretty(&meta).map_err(|problem| Error::output(out, problem))?;
     let mut files = vec![
-        ("spd.mtx", text::symmetric(&system.matrix, matrix)),
-        ("spd_rhs.mtx", text::vector(&system.rhs, rhs)),
-        ("solution.mtx", text::vector(&system.solution, solution)),
+        symmetric("spd.mtx", &system.matrix, matrix),
+        vector("spd_rhs.mtx", &system.rhs, rhs),
+        vector("solution.mtx", &system.solution, solution),
     ];
     files.extend(system.others);
     files.push(("meta.json", json + "\n"));

@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::super::stored;
-use super::{Options, SubStep, System, on_cpu, on_gpu};
+use super::{File, Options, SubStep, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::grid::Grid;
 use crate::reference::{PressureSystem, StepSystem};
@@ -16,8 +16,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
     let density = density(scene)?;
     let ((system, pressure), sub_step) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
-            let stored = || stored(path, density, dt);
-            (stage == Stage::Solve).then(stored).transpose()
+            (stage == Stage::Solve).then(|| stored(path, density, dt)).transpose()
         })?,
         Backend::Cpu => {
             let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
@@ -42,7 +41,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
 }
 
 /// cells.csv and, where cells separated, separated.csv with these.
-pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<(&'static str, String)> {
+pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<File> {
     let mut tables = vec![("cells.csv", table(grid, cells))];
     if !separated.is_empty() {
         tables.push(("separated.csv", table(grid, separated)));
@@ -51,7 +50,7 @@ pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<(
 }
 
 /// CSV with a line per row: its cell and the centre of it.
-pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
+fn table(grid: &Grid, cells: &[usize]) -> String {
     let mut table = String::from("row,i,j,k,x,y,z\n");
     for (row, &cell) in cells.iter().enumerate() {
         let [i, j, k] = grid.cell_at(cell);

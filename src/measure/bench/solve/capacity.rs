@@ -43,8 +43,7 @@ pub struct Capacity<'a> {
 impl<'a> Capacity<'a> {
     /// Room now.
     pub fn new(adapter: &'a AdapterReport) -> Capacity<'a> {
-        let memory = free_memory();
-        Capacity { adapter, memory }
+        Capacity { adapter, memory: free_memory() }
     }
 
     /// Refuses a grid that is too large; the cure names the largest that fits.
@@ -54,9 +53,8 @@ impl<'a> Capacity<'a> {
     pub fn check(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
         let mut checked = self.fits(grid, solvers);
         if let Err(Error::Limit { cure, .. } | Error::Memory { cure, .. }) = &mut checked {
-            let smaller = self
-                .largest(solvers)
-                .map_or(String::new(), |largest| format!("give grids of at most {largest} cells (--grids max), or "));
+            let smaller = |largest| format!("give grids of at most {largest} cells (--grids max), or ");
+            let smaller = self.largest(solvers).map_or(String::new(), smaller);
             *cure = format!("{smaller}use another adapter (--adapter) or machine");
         }
         checked

@@ -82,9 +82,8 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
 /// A case per scene.
 pub(super) fn cases<'c>(scenes: &'c [(usize, Scene)], options: &'c Options) -> Vec<Case<'c>> {
     let cases = scenes.iter().map(|(number, scene)| {
-        Case::new("thesis_scenes", row! { scene: scene.name.as_str(), precision: scene.solver.precision }, move |_| {
-            Ok(vec![("thesis_scenes", measure(*number, scene, options)?)])
-        })
+        let key = row! { scene: scene.name.as_str(), precision: scene.solver.precision };
+        Case::new("thesis_scenes", key, move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)]))
     });
     cases.collect()
 }
