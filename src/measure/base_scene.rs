@@ -99,8 +99,7 @@ impl<'a> DeviceScene<'a> {
             real: variant(gpu.has_f64(), solver.precision).real,
         };
         let fields = SolidBuffers::new(gpu, plan, &scene.solids)?;
-        let rows = SolidRows::new(&scene.solids)?;
-        let solids = SolidSystemBuffers::new(gpu, &rows, solver)?;
+        let solids = SolidSystemBuffers::new(gpu, &SolidRows::new(&scene.solids)?, solver)?;
         // v* of the scene includes gravity.
         gpu.upload(&fields.step, &[fields.step_of(glam::DVec3::ZERO, scene.dt)]);
         let area = grid.dx * grid.dx;
@@ -211,8 +210,7 @@ impl<'a> DeviceScene<'a> {
             Real::F32 => area * f64::from(b as f32),
             Real::F64 => area * b,
         });
-        let rhs = RightHandSide { scale: norm(&values), values };
-        Ok(coupled_system((active, &[]), rhs, solid, &coupling, density))
+        Ok(coupled_system((active, &[]), RightHandSide { scale: norm(&values), values }, solid, &coupling, density))
     }
 
     /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.

@@ -85,10 +85,7 @@ impl Convergence {
         }
         for _ in 0..100 {
             let middle = 0.5 * (low + high);
-            match quotient(middle) < observed {
-                true => low = middle,
-                false => high = middle,
-            }
+            if quotient(middle) < observed { low = middle } else { high = middle }
         }
         let order = 0.5 * (low + high);
         if !PLAUSIBLE.contains(&order) {
@@ -143,9 +140,7 @@ impl Study {
         let mut quantities = Vec::new();
         for (probe, unit) in sweep.probes() {
             let of_run = |row: &Row| row.statistics(&probe);
-            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>() else {
-                continue;
-            };
+            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>() else { continue };
             for (quantity, place) in QUANTITIES {
                 let values: Vec<f64> = statistics.iter().map(|all| all.numbers()[place]).collect();
                 let finest = |list: &[f64]| *list.last_chunk().expect("a study has three scales or more");

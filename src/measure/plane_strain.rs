@@ -178,8 +178,7 @@ poisson = {:?}
             wall(0.0),
             wall(thickness),
         );
-        let file = format!("section_6_4_{cells}.toml");
-        let mut scene = Scene::parse(file.as_ref(), &text, &[], 1.0)?;
+        let mut scene = Scene::parse(format!("section_6_4_{cells}.toml").as_ref(), &text, &[], 1.0)?;
         let mesh = TetMesh::new(&scene.solids[0], "section 6.4")?;
         scene.solids[0].loads = self.loads(&mesh, dx);
         scene.solver = solver;

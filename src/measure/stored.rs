@@ -44,8 +44,7 @@ fn touches(coupling: &Coupling, liquid: &LiquidSnapshot) -> bool {
 
 /// The system of the solids, and the solids as stored on the device.
 pub(super) fn solid_system(path: &GpuPath, solids: &SolidSnapshot, dt: f64) -> (SolidSystem, Solids) {
-    let at_rest = path.solids().expect("the snapshot has solids");
-    let all = solids.on_device(at_rest);
+    let all = solids.on_device(path.solids().expect("the snapshot has solids"));
     let pattern = Arc::new(BlockPattern::new(&all));
     // The device stores it in f32.
     let system = solids.system(&all, &pattern, f64::from(dt as f32));
@@ -74,6 +73,5 @@ pub(super) fn system_of_both(
     let mut rhs = right_hand_side(grid, open, &liquid.velocity_next, &active, None);
     rhs.values = inflow.iter().map(|b| grid.dx * grid.dx * b).collect();
     let (solid, all) = solid_system(path, solids, dt);
-    let active = (active, &*liquid.separated);
-    Some((coupled_system(active, rhs, solid, &coupling, density), all))
+    Some((coupled_system((active, &*liquid.separated), rhs, solid, &coupling, density), all))
 }

@@ -46,8 +46,7 @@ impl FromStr for Axis {
     fn from_str(text: &str) -> Result<Axis, Error> {
         let refused = |problem: String, cure| Error::input(format!("--set {text}"), problem, cure);
         let cure = "write --set KEY=V1,V2, such as --set liquid.density=800,1000";
-        let parts = text.split_once('=');
-        let (key, list) = parts.ok_or_else(|| refused("has no `=`".into(), cure))?;
+        let (key, list) = text.split_once('=').ok_or_else(|| refused("has no `=`".into(), cure))?;
         let values = split(list).ok_or_else(|| {
             let problem = format!("the brackets or quotes of `{list}` do not match");
             refused(problem, "close them, within single quotes for the shell")
@@ -57,8 +56,7 @@ impl FromStr for Axis {
         }
         let mut seen = BTreeSet::new();
         if let Some(twice) = values.iter().find(|value| !seen.insert(value.as_str())) {
-            let problem = format!("has the value {twice} twice");
-            return Err(refused(problem, "give each value once"));
+            return Err(refused(format!("has the value {twice} twice"), "give each value once"));
         }
         Ok(Axis { key: key.trim().to_owned(), values })
     }
@@ -426,9 +424,7 @@ impl Sweep {
     /// Records the end of a run: its exit code, or `None` if a signal ended it, and its error message.
     pub fn record_end(&self, number: usize, exit_code: Option<i32>, problem: Option<String>) -> Result<(), Error> {
         let run = &self.runs[number];
-        let Ok(Checked { hash, .. }) = &run.scene else {
-            return Ok(());
-        };
+        let Ok(Checked { hash, .. }) = &run.scene else { return Ok(()) };
         let record =
             Record { cutwater: env!("CARGO_PKG_VERSION").to_owned(), scene_sha256: hash.clone(), exit_code, problem };
         write_json(&run.folder.join(RECORD), &record)
@@ -573,6 +569,5 @@ fn folder_name(name: &str) -> String {
 }
 
 fn short_hash(text: &str) -> String {
-    let digest = Sha256::digest(text.as_bytes());
-    digest[..4].iter().map(|byte| format!("{byte:02x}")).collect()
+    Sha256::digest(text.as_bytes())[..4].iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -184,8 +184,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
         &options.tolerances,
         options.max_iterations,
     );
-    let request = (hashes(&options.scenes), solvers);
-    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    let mut run = Run::start(bench(), machine, &(hashes(&options.scenes), solvers), settings, listener)?;
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
@@ -212,9 +211,7 @@ pub fn ensure_truth(what: &str, step: u64, solves: impl IntoIterator<Item = Solv
         // A residual of NaN fails.
         !(passed || solve.residual <= ROUNDED)
     };
-    let Some(solve) = solves.into_iter().find(failed) else {
-        return Ok(());
-    };
+    let Some(solve) = solves.into_iter().find(failed) else { return Ok(()) };
     let (status, residual) = (solve.status.name(), solve.residual);
     Err(Error::Stage {
         stage: "solve",
@@ -301,8 +298,7 @@ pub fn derive(tables: &mut [Table]) {
         let loosest = loosest.max_by(|a, b| a.number("tolerance").total_cmp(&b.number("tolerance")));
         loosest.map_or(grid, |row| (*row).clone())
     });
-    let enough = enough.collect();
-    replace(tables, "accuracy_grids_enough", enough);
+    replace(tables, "accuracy_grids_enough", enough.collect());
 }
 
 /// Charts of errors against seconds, one per error column and its axis.

@@ -92,8 +92,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     };
     // A separate device, whose buffers do not count.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
-    let request = (hashes(&options.scenes), options.frames);
-    let mut run = Run::start(bench, machine, &request, settings, listener)?;
+    let mut run = Run::start(bench, machine, &(hashes(&options.scenes), options.frames), settings, listener)?;
     let scratch = Scratch::new(&settings.out)?;
     let cases = options.scenes.iter().map(|scene| {
         Case::new("effects", row! { scene: scene.name.as_str(), effect: ITSELF }, |_| {
@@ -162,8 +161,7 @@ impl Timed {
             state.markers.clear();
         }
         // Without sources there is no room for emitted markers.
-        let room = self.simulation.gpu_path().and_then(GpuPath::marker_room);
-        state.markers.truncate(room.unwrap_or(0));
+        state.markers.truncate(self.simulation.gpu_path().and_then(GpuPath::marker_room).unwrap_or(0));
         self.simulation.reset(&state)?;
         self.gpu().start_trace();
         let clock = Instant::now();

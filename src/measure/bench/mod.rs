@@ -115,10 +115,7 @@ impl Results {
     /// # Errors
     /// [`Error::Check`] with all failed checks.
     pub fn verdict(&self) -> Result<(), Error> {
-        match self.failures.is_empty() {
-            true => Ok(()),
-            false => Err(Error::Check(self.failures.join("\n  "))),
-        }
+        if self.failures.is_empty() { Ok(()) } else { Err(Error::Check(self.failures.join("\n  "))) }
     }
 }
 
@@ -228,9 +225,7 @@ impl<'a> Run<'a> {
     /// Reads the rows of an earlier run.
     fn resume(&mut self) -> Result<(), Error> {
         let path = self.file(self.bench.name, "json");
-        let Ok(text) = fs::read_to_string(&path) else {
-            return Ok(());
-        };
+        let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };
         let unreadable = |problem| refused(&path, format!("cannot be read: {problem}"));
         let then: Json = serde_json::from_str(&text).map_err(unreadable)?;
         let now = serde_json::to_value(&self.results).map_err(|problem| Error::output(&path, problem))?;
@@ -282,8 +277,7 @@ impl<'a> Run<'a> {
         if done < total && self.last_message.elapsed() >= PAUSE {
             self.last_message = Instant::now();
             let left = clock.elapsed().as_secs_f64() * (total - done) as f64 / done as f64;
-            let message = format!("{done} of {total} {what}, {left:.0} s left");
-            (self.listener)(Event::Progress(&message));
+            (self.listener)(Event::Progress(&format!("{done} of {total} {what}, {left:.0} s left")));
         }
     }
 

@@ -216,9 +216,7 @@ fn write_all(
 
 /// Bytes of the files of frames below a folder; 0 without the folder.
 fn bytes_in(folder: &Path) -> Result<u64, Error> {
-    let Ok(entries) = fs::read_dir(folder) else {
-        return Ok(0);
-    };
+    let Ok(entries) = fs::read_dir(folder) else { return Ok(0) };
     let bytes = entries.map(|entry| {
         let entry = entry.map_err(|problem| Error::unwritten(folder, &problem))?;
         let path = entry.path();

@@ -458,15 +458,13 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
 pub fn derive(tables: &mut [Table]) {
     let sizes = ["grid", "bricks", "active_cells", "solid_nodes", "formulation", "seconds", "iterations"];
     let sample = |row: &Row, solver: &str, precision: &str, runs: &str| {
-        let columns = row! { solver: row.get(solver), precision: precision, runs: row.get(runs) };
-        row.only(&sizes).with(columns)
+        row.only(&sizes).with(row! { solver: row.get(solver), precision: precision, runs: row.get(runs) })
     };
     let converged = |row: &&Row| row.text("status") == SolveStatus::Converged.name();
     let device = rows(tables, "solve").iter().filter(converged);
     let device = device.map(|row| sample(row, "preconditioner", row.text("precision"), "runs"));
     let others = rows(tables, "solve_against").iter().filter(converged);
-    let others = others.map(|row| sample(row, "rival", "f64", "turns"));
-    let samples: Vec<Row> = device.chain(others).collect();
+    let samples: Vec<Row> = device.chain(others.map(|row| sample(row, "rival", "f64", "turns"))).collect();
     let series = |row: &Row| row.only(&["formulation", "solver", "precision"]);
     // Per beam, the grid closest to the thesis's cells per brick: there both are refined together.
     let off = |row: &Row| {

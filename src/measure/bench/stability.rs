@@ -75,9 +75,7 @@ impl Options {
     /// [`Error::Input`] with similar names.
     pub fn check(&self, names: &[String]) -> Result<(), Error> {
         let known = |part: &str| !part.is_empty() && names.iter().any(|name| name.contains(part));
-        let Some(part) = self.cases.iter().find(|part| !known(part)) else {
-            return Ok(());
-        };
+        let Some(part) = self.cases.iter().find(|part| !known(part)) else { return Ok(()) };
         // Distance to the whole name and to its words.
         let distance =
             |name: &&str| name.split('_').chain([*name]).map(|word| strsim::damerau_levenshtein(part, word)).min();
@@ -187,10 +185,7 @@ fn run_limits(run: &mut Run, limits: &[Limit], options: &Options) -> Result<(), 
     });
     run.cases(cases.collect())?;
     let pairs = limit::step_lengths(run.results.rows(table));
-    match pairs.is_empty() {
-        true => Ok(()),
-        false => run.put(pairs.into_iter().map(|row| (table, row)).collect()),
-    }
+    if pairs.is_empty() { Ok(()) } else { run.put(pairs.into_iter().map(|row| (table, row)).collect()) }
 }
 
 /// A line per failed case.

@@ -95,8 +95,7 @@ fn bench() -> Bench {
 /// [`Error::Output`]; [`Error::Check`] where the runs of a scene differ; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     if options.scenes.is_empty() {
-        let cure = "give one scene file or more";
-        return Err(Error::input("bench step", "no scene to measure", cure));
+        return Err(Error::input("bench step", "no scene to measure", "give one scene file or more"));
     }
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
     let request = (hashes(options.scenes.iter().map(|case| &case.scene)), options.frames);

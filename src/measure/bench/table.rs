@@ -44,10 +44,7 @@ values! { Flag: bool; Count: i64, usize, u32, u64; Number: f64; Spread: Spread; 
 impl From<String> for Value {
     /// An empty text is no value, as in a CSV file.
     fn from(text: String) -> Value {
-        match text.is_empty() {
-            true => Value::Empty,
-            false => Value::Text(text),
-        }
+        if text.is_empty() { Value::Empty } else { Value::Text(text) }
     }
 }
 

@@ -74,8 +74,7 @@ impl Options {
             };
             let fits = |grid: &usize| (least..=most).contains(grid) && grid.is_multiple_of(unit);
             if let Some(grid) = self.grids(table).into_iter().find(|grid| !fits(grid)) {
-                let what = format!("--grids {grid} for table {table}");
-                return Err(Error::input(what, problem, cure));
+                return Err(Error::input(format!("--grids {grid} for table {table}"), problem, cure));
             }
             if systems {
                 self.frames.iter().try_for_each(|&frame| systems::ensure_frame(frame))?;

@@ -82,10 +82,7 @@ impl Comparison {
                 row.most_excused(),
             ));
         }
-        match problems.is_empty() {
-            true => Ok(()),
-            false => Err(Error::Check(problems.join("; "))),
-        }
+        if problems.is_empty() { Ok(()) } else { Err(Error::Check(problems.join("; "))) }
     }
 }
 
@@ -234,10 +231,7 @@ fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, (gravity, dt
         PatchPressure::Cell => vec![DVec3::ZERO; grid.n_cells()],
         PatchPressure::Hydrostatic => vec![at_rest; grid.n_cells()],
         PatchPressure::Gradient => {
-            let pascal = match dt_last > 0.0 {
-                true => density * grid.dx / dt_last,
-                false => 0.0,
-            };
+            let pascal = if dt_last > 0.0 { density * grid.dx / dt_last } else { 0.0 };
             let pressure: Vec<f64> = before.potential.iter().map(|phi| pascal * phi).collect();
             let (open, active) = (&clip.cut_cells().open, &before.active);
             let mut slopes = vec![at_rest; grid.n_cells()];

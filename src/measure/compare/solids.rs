@@ -61,9 +61,7 @@ pub(super) struct SolidComparison<'a> {
 impl<'a> SolidComparison<'a> {
     /// `None` for a scene without solids.
     pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
-        let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else {
-            return Ok(None);
-        };
+        let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else { return Ok(None) };
         let grid = Grid { cells: scene.domain.cells, dx: f64::from(scene.grid().dx as f32) };
         let solids = before.on_device(solids);
         let mut obstacles = path.contact_field();
@@ -350,10 +348,8 @@ impl<'a> SolidComparison<'a> {
         let Some(matrices) = &self.matrices else { return Ok(()) };
         let exact = Solver { tolerance: 1e-12, max_iterations: 10_000, ..self.scene.solver };
         let solve = |(active, rhs), solid, coupling: &Coupling, density| {
-            let active = (active, &*both.liquid.separated);
-            let system = coupled_system(active, rhs, solid, coupling, density);
-            let form = Formulation::of(&system);
-            reference::solve_coupled(&system, form, &self.solver, solids, &exact)
+            let system = coupled_system((active, &*both.liquid.separated), rhs, solid, coupling, density);
+            reference::solve_coupled(&system, Formulation::of(&system), &self.solver, solids, &exact)
         };
         let [stored, assembled] = systems;
         let (areas, weight) = stored_coupling(both.clip.coupling(), grid.dx, density, dt);
@@ -370,8 +366,7 @@ impl<'a> SolidComparison<'a> {
         self.table.stage = "assembly";
         let bound = ASSEMBLY * scale(&assembled.pressure);
         self.table.cells(&grid, ["pressure, with solids", "Pa"], |cell| {
-            let numbers = (stored.pressure[cell], assembled.pressure[cell], bound);
-            both.liquid.active[cell].then_some(numbers)
+            both.liquid.active[cell].then_some((stored.pressure[cell], assembled.pressure[cell], bound))
         });
         let bound = ASSEMBLY * scale(assembled.velocity.as_flattened()).max(fall);
         let velocities = [&stored.velocity[..], &assembled.velocity];

@@ -278,10 +278,8 @@ impl Table {
         bound: impl Fn(usize, usize) -> f64,
     ) {
         let components = (0..gpu.len()).flat_map(|node| (0..3).map(move |axis| (node, axis)));
-        let pairs = components.map(|(node, axis)| {
-            let place = Place::Node(node, rest[node]);
-            (gpu[node][axis], twin[node][axis], bound(node, axis), place)
-        });
+        let pairs = components
+            .map(|(node, axis)| (gpu[node][axis], twin[node][axis], bound(node, axis), Place::Node(node, rest[node])));
         self.add(quantity, pairs);
     }
 }

@@ -74,8 +74,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         symmetric("Z1.mtx", &z1, "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv"),
         symmetric("Z2.mtx", &blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s"),
     ];
-    let separated = &system.pressure.separated;
-    others.extend(pressure::tables(&scene.grid(), &blocks.cells, separated));
+    others.extend(pressure::tables(&scene.grid(), &blocks.cells, &system.pressure.separated));
     others.push(("nodes.csv", solids::table(&all, &blocks.components, n_cells)));
     let written = System {
         matrix: blocks.two_field(SIGMA)?,

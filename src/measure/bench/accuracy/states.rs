@@ -68,8 +68,7 @@ pub(super) fn measure(run: &mut Run, scene: &Scene, frame: u64, options: &Option
         Ok((done.seconds, done))
     })?;
     let rows = timed.into_iter().enumerate().map(|(job, timed)| {
-        let row = case.row(&variants[job / n], options.tolerances[job % n], timed.spread(), &timed.outcome);
-        ("accuracy", row)
+        ("accuracy", case.row(&variants[job / n], options.tolerances[job % n], timed.spread(), &timed.outcome))
     });
     Ok(rows.collect())
 }
@@ -170,8 +169,7 @@ impl Variant {
             } else if stage == Stage::Solve {
                 let (exact, solves) = solution(path, &path.snapshot()?, &inflow, density, dt)?;
                 let residual = solves.iter().map(|solve| solve.residual).fold(0.0, larger);
-                let system = format!("stored in {}", solver.precision.name());
-                case.ensure_truth(&system, solves)?;
+                case.ensure_truth(&format!("stored in {}", solver.precision.name()), solves)?;
                 truth = Some((exact, residual));
             }
             Ok(())
@@ -191,8 +189,7 @@ fn solution(
 ) -> Result<(Solution, Vec<SolveReport>), Error> {
     let settings = super::exact(Solver::default());
     if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
-        let solver = SolidSolver::new(&all);
-        let found = solve_coupled(&system, Form::of(&system), &solver, &all, &settings)?;
+        let found = solve_coupled(&system, Form::of(&system), &SolidSolver::new(&all), &all, &settings)?;
         let exact = Solution { pressure: found.pressure, velocity: found.velocity };
         return Ok((exact, found.reports.into()));
     }

@@ -90,9 +90,7 @@ pub(super) fn noise(itself: &[Pair]) -> Option<f64> {
 
 /// Verdict on an interval around a median, given the difference of a scene from itself.
 pub fn verdict(interval: Option<[f64; 2]>, median: f64, noise: Option<f64>) -> &'static str {
-    let (Some([low, high]), Some(noise)) = (interval, noise) else {
-        return TOO_FEW;
-    };
+    let (Some([low, high]), Some(noise)) = (interval, noise) else { return TOO_FEW };
     match median {
         _ if (low <= 0.0 && high >= 0.0) || median.abs() <= noise => NOTHING,
         _ if median > 0.0 => ADDS,

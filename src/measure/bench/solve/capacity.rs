@@ -73,8 +73,7 @@ impl<'a> Capacity<'a> {
                 self.adapter.check_buffer(&plan.label, plan.bytes())?;
             }
             let memory = HostMemory { needed: PER_CELL * (grid as u64).pow(3), available: self.memory };
-            let bytes = plans.iter().map(BufferPlan::bytes).sum();
-            memory.beside(bytes, self.adapter).check()
+            memory.beside(plans.iter().map(BufferPlan::bytes).sum(), self.adapter).check()
         })
     }
 }

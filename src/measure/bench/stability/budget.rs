@@ -137,10 +137,7 @@ impl Budget {
 
     /// Share of the liquid of the start that is missing. `outflow`: volume that left less that which entered, m^3.
     pub fn missing(&self, liquid: &Diagnosis, outflow: f64) -> f64 {
-        match self.volume > 0.0 {
-            true => 1.0 - (liquid.volume + outflow) / self.volume,
-            false => 0.0,
-        }
+        if self.volume > 0.0 { 1.0 - (liquid.volume + outflow) / self.volume } else { 0.0 }
     }
 
     /// Bound of the total energy over that of the start, for sub-steps up to `dt` s.

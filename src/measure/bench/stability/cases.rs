@@ -102,8 +102,7 @@ pub struct Case {
 impl Case {
     /// Its scene.
     pub fn scene(&self) -> Result<Scene, Error> {
-        let file = format!("{}.toml", self.name);
-        Scene::parse(file.as_ref(), &self.text, &self.overrides, self.scale.unwrap_or(1.0))
+        Scene::parse(format!("{}.toml", self.name).as_ref(), &self.text, &self.overrides, self.scale.unwrap_or(1.0))
     }
 
     /// Cases that vary the same property.

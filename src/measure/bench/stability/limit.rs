@@ -104,10 +104,7 @@ impl Limit {
         let (mut low, mut high) = (-10.0 - r, 0.0);
         for _ in 0..200 {
             let middle = 0.5 * (low + high);
-            match cubic(middle) < 0.0 {
-                true => low = middle,
-                false => high = middle,
-            }
+            if cubic(middle) < 0.0 { low = middle } else { high = middle }
         }
         -low
     }
@@ -146,10 +143,7 @@ impl Limit {
     /// Measures the growth.
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         // Until the other roots have decayed: without a spring the only one is 1, with a constant velocity.
-        let (steps, over) = match self.omega_dt > 0.0 {
-            true => (40, 8),
-            false => (10, 6),
-        };
+        let (steps, over) = if self.omega_dt > 0.0 { (40, 8) } else { (10, 6) };
         let mut simulation = Simulation::new(&self.scene()?, backend)?;
         let end = PISTON * DX;
         let mut velocities = Vec::new();

@@ -97,10 +97,7 @@ pub fn largest(holds: &dyn Fn(usize) -> bool) -> usize {
     }
     while failing - holding > 1 {
         let middle = holding.midpoint(failing);
-        match holds(middle) {
-            true => holding = middle,
-            false => failing = middle,
-        }
+        if holds(middle) { holding = middle } else { failing = middle }
     }
     holding
 }

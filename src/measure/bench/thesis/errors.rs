@@ -141,8 +141,7 @@ impl Problem {
                 Some(job) => ("gpu", paths[job].0),
             };
             let row = self.row(&scene, &mask, grid, timed.spread(), &timed.outcome);
-            let names = row! { backend: backend, precision: precision, patch_pressure: patches };
-            ("thesis", row.with(names))
+            ("thesis", row.with(row! { backend: backend, precision: precision, patch_pressure: patches }))
         });
         Ok(rows.collect())
     }

@@ -338,8 +338,7 @@ impl<'a> Case<'a> {
             }
             if let Some(&form) = forms.get(job - 1) {
                 let clock = Instant::now();
-                let solver = SolidSolver::new(self.solids);
-                let found = solve_coupled(&self.system, form, &solver, self.solids, &exact)?;
+                let found = solve_coupled(&self.system, form, &SolidSolver::new(self.solids), self.solids, &exact)?;
                 let seconds = clock.elapsed().as_secs_f64();
                 return Ok((seconds, (found.reports.to_vec(), false)));
             }
@@ -367,8 +366,7 @@ impl<'a> Case<'a> {
                 None => {
                     let device = job - 1 - forms.len();
                     let form = if *condensed { "condensed" } else { "two-field" };
-                    let sub_step = Spread::of(sub_steps[device].clone());
-                    ([form, "multigrid CG", "gpu", devices[device].0.name()], sub_step)
+                    ([form, "multigrid CG", "gpu", devices[device].0.name()], Spread::of(sub_steps[device].clone()))
                 }
             };
             let row = self.row(table, names).with(row! {

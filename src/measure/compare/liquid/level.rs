@@ -48,8 +48,7 @@ fn judged(gpu: f64, twin: f64, bound: f64, others: impl Iterator<Item = f64>) ->
 impl LiquidComparison<'_> {
     /// Compares the fields after a stage of the level. Not all of `stage` are.
     pub(super) fn level(&mut self, stage: Stage, after: &LiquidSnapshot) {
-        let both = self.before.level.clone().zip(after.level.as_ref());
-        let Some((before, now)) = both else { return };
+        let Some((before, now)) = self.before.level.clone().zip(after.level.as_ref()) else { return };
         let all = (after, &before, now);
         match stage {
             Stage::AdvectLevel => self.advect_level(after, now),
@@ -93,8 +92,7 @@ impl LiquidComparison<'_> {
     ) {
         let [twin, others @ ..] = twins else { return };
         self.table.judge_cells(&self.grid, quantity, |cell| {
-            let others = others.iter().map(|other| other[cell]);
-            after.band[cell].then(|| judged(gpu[cell], twin[cell], bound, others))
+            after.band[cell].then(|| judged(gpu[cell], twin[cell], bound, others.iter().map(|other| other[cell])))
         });
     }
 
@@ -141,8 +139,7 @@ impl LiquidComparison<'_> {
         // A departure point on a plane of cell centres may have the taps of either side.
         let by = 16.0 * EPS * reference::max_speed(velocity);
         twins.extend((0..PATTERNS).map(|pattern| {
-            let velocity = moved_faces(velocity, by, pattern);
-            reference::advect_level(&grid, sides, &velocity, &ballistic, &level, dt)
+            reference::advect_level(&grid, sides, &moved_faces(velocity, by, pattern), &ballistic, &level, dt)
         }));
         self.exchange_level(after, &level, (&mut twins, bound));
         let band = self.settled(after);
@@ -235,8 +232,7 @@ impl LiquidComparison<'_> {
                 spray: vec![level.spray[slot]],
             };
             let (sides, falls) = (self.scene.domain.open, (gravity, &ballistic));
-            let solid = &self.cut.solid_distance;
-            reference::advect_level_markers(&grid, sides, velocity, solid, falls, dt, &mut one);
+            reference::advect_level_markers(&grid, sides, velocity, &self.cut.solid_distance, falls, dt, &mut one);
             one.position.first().copied()
         };
         let fall = gravity.length() * dt;
@@ -244,8 +240,7 @@ impl LiquidComparison<'_> {
         let bound =
             marker_error(&grid, velocity, dt) + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
         let markers = [&self.before.markers[..], &after.markers];
-        let rows = super::advected(markers, |_| bound, advect);
-        self.add_advected(rows);
+        self.add_advected(super::advected(markers, |_| bound, advect));
     }
 
     /// A weight is a product of three differences from 1, each off by the roundings of a position in cells, rounded to 2^-20.
@@ -254,8 +249,7 @@ impl LiquidComparison<'_> {
         let markers = self.markers_of_level(before);
         let (solid, at, spray) = (&self.cut.solid_distance, &markers.position, &markers.spray);
         let fraction = |carried: &[f64]| reference::occupancy(&grid, solid, carried, at, spray);
-        let carried = self.with_air(after, &now.carried);
-        let twins = self.twins(&carried, EPS * REACH, fraction);
+        let twins = self.twins(&self.with_air(after, &now.carried), EPS * REACH, fraction);
         let weight = 3.0 * 4.0 * EPS * self.extent() + (-20.0_f64).exp2();
         let bound = self.most_markers(&markers) * weight + 64.0 * EPS;
         self.band_cells(["F", ""], after, &now.occupancy, &twins, bound);

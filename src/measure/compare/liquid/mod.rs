@@ -86,9 +86,7 @@ impl<'a> LiquidComparison<'a> {
     /// `None` for a scene without liquid.
     pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
         let step = path.step_numbers(TimeStep::NONE);
-        let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else {
-            return Ok(None);
-        };
+        let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else { return Ok(None) };
         let grid = Grid { cells: scene.domain.cells, dx: step.dx.into() };
         let cut = path.cut_cells();
         let cut = CutCells {
@@ -267,8 +265,7 @@ impl<'a> LiquidComparison<'a> {
         };
         let bound = |start: DVec3| error.at(start) + EPS * pushed;
         let markers = [&self.before.markers[..], &after.markers];
-        let rows = advected(markers, bound, |_, start| advect(start));
-        self.add_advected(rows);
+        self.add_advected(advected(markers, bound, |_, start| advect(start)));
     }
 
     /// Adds the rows of [`advected`] markers.
@@ -354,10 +351,7 @@ impl<'a> LiquidComparison<'a> {
         let bound = advection_error(&self.grid, open, velocity, dt);
         let ballistic = self.ballistic();
         let maccormack = Effects::of(self.scene).maccormack;
-        let advect = match maccormack {
-            true => reference::advect_velocity_maccormack,
-            false => reference::advect_velocity,
-        };
+        let advect = if maccormack { reference::advect_velocity_maccormack } else { reference::advect_velocity };
         let advected = |of: &Ballistic| advect(&self.grid, open, velocity, of, dt);
         let twin = advected(&ballistic);
         if maccormack {
@@ -397,8 +391,7 @@ impl<'a> LiquidComparison<'a> {
     /// Compares u* on the faces of the band.
     fn add_band_faces(&mut self, after: &LiquidSnapshot, twin: &[Vec<f64>; 3], bound: impl Fn(usize, usize) -> f64) {
         self.table.faces(&self.grid, ["u*", "m/s"], |a, face| {
-            let numbers = (after.velocity_next[a][face], twin[a][face], bound(a, face));
-            after.face_band[a][face].then_some(numbers)
+            after.face_band[a][face].then_some((after.velocity_next[a][face], twin[a][face], bound(a, face)))
         });
     }
 
@@ -588,17 +581,13 @@ impl<'a> LiquidComparison<'a> {
         let speed = 3.0 * wall_speed + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        let largest = match Effects::of(self.scene).maccormack {
-            true => self.step.largest_slope.into(),
-            false => 0.0,
-        };
+        let largest = if Effects::of(self.scene).maccormack { self.step.largest_slope.into() } else { 0.0 };
         let extent = (layers, largest);
         let held = Effects::of(self.scene).separation.then(|| {
             let pairs = self.before.active.iter().zip(&self.before.separated);
             pairs.map(|(active, separated)| *active && !*separated).collect::<Vec<_>>()
         });
-        let walls = (walls, held.as_deref());
-        reference::extrapolate_one_sided(&grid, &self.cut, walls, valid, extent, &mut twin);
+        reference::extrapolate_one_sided(&grid, &self.cut, (walls, held.as_deref()), valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
         let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
@@ -690,8 +679,7 @@ impl<'a> LiquidComparison<'a> {
             nodes.map(|force| DVec3::from(*force)).sum::<DVec3>()
         };
         let bound = (4.0 * EPS + 64.0 * unit(after.real)) * sums(&gross).length();
-        let pairs = components(report.force.into(), sums(&force).into(), bound, Place::Whole);
-        self.table.add(["J^T p", "N"], pairs);
+        self.table.add(["J^T p", "N"], components(report.force.into(), sums(&force).into(), bound, Place::Whole));
         self.table.add(["touching", "flag"], [flag(report.touching, both.touch(), Place::Whole)]);
     }
 

@@ -43,8 +43,7 @@ impl LiquidComparison<'_> {
         active.closed = closed;
         let mut taken = vec![0.0; grid.n_cells()];
         let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux()).iter().copied();
-        let open = clip.map(|clip| &clip.cut_cells().open);
-        let sources = self.taps.boundary_flux(&grid, open, self.running.running);
+        let sources = self.taps.boundary_flux(&grid, clip.map(|clip| &clip.cut_cells().open), self.running.running);
         obstacles.chain(sources).for_each(|(cell, flux)| taken[cell] += flux / (grid.dx * grid.dx));
         let by_solids = both.map(|both| both.constrained_flux(grid.dx, &after.active));
         for component in &opened {
@@ -208,8 +207,7 @@ impl LiquidComparison<'_> {
         let bound = |cell: usize| pascal * (reach[cell] + 1e3 * EXACT * twin[cell].abs());
         self.table.stage = "assembly";
         self.table.cells(&grid, ["pressure", "Pa"], |cell| {
-            let numbers = (pascal * solution[cell], pascal * twin[cell], bound(cell));
-            stored.stencil.active(cell).then_some(numbers)
+            stored.stencil.active(cell).then_some((pascal * solution[cell], pascal * twin[cell], bound(cell)))
         });
         let cells = (0..grid.n_cells()).filter(|&cell| stored.stencil.active(cell));
         self.twin.pressure_bound = largest(cells.map(|cell| solve_bounds[cell] + bound(cell)));
