@@ -1,20 +1,16 @@
 //! The base scene on a device: both systems and J between them, for benches and tests of coupled solvers.
 
-use std::sync::Arc;
-
 use crate::Error;
 use crate::elastic::Bounds;
 use crate::fields::{
     CouplingBuffers, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers, SolverBuffers, variant,
 };
-use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
+use crate::gpu::{Buffer, Dispatches, Gpu, Recorder};
 use crate::grid::{Axis, Grid};
-use crate::linalg::norm;
+use crate::reference::CoupledSystem;
 use crate::reference::base_block::{BaseBlock, DENSITY, THETA_FLOOR};
 use crate::reference::base_scene::BaseScene;
-use crate::reference::{ActiveCells, BlockPattern, CoupledSystem, RightHandSide, Stencil};
 use crate::scene::Solver;
-use crate::sim::{SolidSnapshot, StoredPressure, coupled_system, stored_coupling};
 use crate::solver::{CoupledFields, CoupledOutcome, CoupledSolver, Polynomial, SolidSystem};
 use crate::stages::{Everywhere, PressureSystem, element_rotations};
 use crate::state::State;
@@ -189,28 +185,6 @@ impl<'a> DeviceScene<'a> {
         let (recorder, fields) = (self.record_systems(), self.fields());
         let (outcome, _) = self.solver.solve(self.gpu, recorder, fields, &self.polynomial, false)?;
         Ok(outcome)
-    }
-
-    /// The system as stored on the device after its set-up. `scene`: that of [`DeviceScene::new`].
-    pub fn stored(&self, scene: &BaseScene) -> Result<CoupledSystem, Error> {
-        let grid = &self.grid;
-        let prescribed = &scene.solids.prescribed;
-        let snapshot = SolidSnapshot::read(self.gpu, &self.fields, &self.solids, prescribed)?;
-        let solids = snapshot.on_device(&scene.solids);
-        let pattern = Arc::new(BlockPattern::new(&solids));
-        let solid = snapshot.system(&solids, &pattern, f64::from(self.dt as f32));
-        let (clip, pressure) = (scene.clip(), StoredPressure::read(self.gpu, grid, &self.liquid)?);
-        let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, DENSITY, self.dt);
-        let stencil = Stencil::new(*grid, pressure.weight, pressure.dirichlet);
-        let mut active = ActiveCells::new(stencil);
-        active.seal(&coupling, prescribed);
-        // As uploaded: a solve subtracts J v.
-        let area = grid.dx * grid.dx;
-        let values = grid.padded().unpad(grid.cells, &self.rhs, |b| match self.liquid.rhs.real {
-            Real::F32 => area * f64::from(b as f32),
-            Real::F64 => area * b,
-        });
-        Ok(coupled_system((active, &[]), RightHandSide { scale: norm(&values), values }, solid, &coupling, density))
     }
 
     /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.

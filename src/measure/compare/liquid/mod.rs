@@ -679,7 +679,7 @@ impl<'a> LiquidComparison<'a> {
             nodes.map(|force| DVec3::from(*force)).sum::<DVec3>()
         };
         let bound = (4.0 * EPS + 64.0 * unit(after.real)) * sums(&gross).length();
-        self.table.add(["J^T p", "N"], components(report.force.into(), sums(&force).into(), bound, Place::Whole));
+        self.table.add(["J^T p", "N"], components(report.force, sums(&force).into(), bound, Place::Whole));
         self.table.add(["touching", "flag"], [flag(report.touching, both.touch(), Place::Whole)]);
     }
 
