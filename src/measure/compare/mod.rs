@@ -331,10 +331,12 @@ fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
 mod tests {
     use super::table::Table;
     use super::*;
+    use crate::grid::Grid;
 
     /// Rows with so many numbers compared, all equal, and so many excused.
     fn comparison(rows: &[(&'static str, u64, u64)]) -> Comparison {
-        let mut table = Table { stage: "forces", ..Table::default() };
+        let mut table = Table::new(Grid { cells: [1; 3], dx: 1.0 });
+        table.stage = "forces";
         for &(quantity, count, excused) in rows {
             let numbers = (0..count).map(|_| (1.0, 1.0, 0.0, Place::Whole));
             table.add([quantity, "m/s"], numbers);

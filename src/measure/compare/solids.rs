@@ -76,7 +76,7 @@ impl<'a> SolidComparison<'a> {
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
             solids,
-            table: Table::default(),
+            table: Table::new(scene.grid()),
             dt: 0.0,
             gravity: DVec3::ZERO,
             before,
@@ -365,7 +365,7 @@ impl<'a> SolidComparison<'a> {
         let scale = |values: &[f64]| largest(values.iter().map(|x| x.abs()));
         self.table.stage = "assembly";
         let bound = ASSEMBLY * scale(&assembled.pressure);
-        self.table.cells(&grid, ["pressure, with solids", "Pa"], |cell| {
+        self.table.cells(["pressure, with solids", "Pa"], |cell| {
             both.liquid.active[cell].then_some((stored.pressure[cell], assembled.pressure[cell], bound))
         });
         let bound = ASSEMBLY * scale(assembled.velocity.as_flattened()).max(fall);

@@ -184,8 +184,10 @@ pub(super) use whole;
 pub(super) type Quantity = [&'static str; 2];
 
 /// Rows in order of first appearance.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Table {
+    /// The cells and faces of the numbers.
+    grid: Grid,
     pub(super) rows: Vec<Row>,
     /// Current sub-step.
     pub(super) step: u64,
@@ -194,6 +196,10 @@ pub(super) struct Table {
 }
 
 impl Table {
+    pub(super) fn new(grid: Grid) -> Table {
+        Table { grid, rows: Vec::new(), step: 0, stage: "" }
+    }
+
     /// Row of a quantity of the current stage.
     pub(super) fn row(&mut self, [quantity, unit]: Quantity) -> &mut Row {
         let stage = self.stage;
@@ -228,41 +234,33 @@ impl Table {
     }
 
     /// Adds the numbers of each cell that has them.
-    pub(super) fn cells(&mut self, grid: &Grid, quantity: Quantity, numbers: impl Fn(usize) -> Option<Numbers>) {
-        self.judge_cells(grid, quantity, |cell| numbers(cell).map(Some));
+    pub(super) fn cells(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<Numbers>) {
+        self.judge_cells(quantity, |cell| numbers(cell).map(Some));
     }
 
     /// The same; `Some(None)` is excused.
-    pub(super) fn judge_cells(
-        &mut self,
-        grid: &Grid,
-        quantity: Quantity,
-        numbers: impl Fn(usize) -> Option<Option<Numbers>>,
-    ) {
-        let pair = |cell, (gpu, twin, bound)| (gpu, twin, bound, Place::cell(grid, cell));
+    pub(super) fn judge_cells(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<Option<Numbers>>) {
+        let grid = self.grid;
+        let pair = |cell, (gpu, twin, bound)| (gpu, twin, bound, Place::cell(&grid, cell));
         let cells = (0..grid.n_cells()).filter_map(|cell| Some(numbers(cell)?.map(|numbers| pair(cell, numbers))));
         self.judge(quantity, cells);
     }
 
     /// Adds a flag of each cell on both paths.
-    pub(super) fn cell_flags(&mut self, grid: &Grid, quantity: &'static str, gpu: &[bool], twin: &[bool]) {
-        self.cells(grid, [quantity, "flag"], |cell| Some((number(gpu[cell]), number(twin[cell]), 0.0)));
+    pub(super) fn cell_flags(&mut self, quantity: &'static str, gpu: &[bool], twin: &[bool]) {
+        self.cells([quantity, "flag"], |cell| Some((number(gpu[cell]), number(twin[cell]), 0.0)));
     }
 
     /// Adds the numbers of each face that has them, by axis and index.
-    pub(super) fn faces(&mut self, grid: &Grid, quantity: Quantity, numbers: impl Fn(usize, usize) -> Option<Numbers>) {
-        self.judge_faces(grid, quantity, |axis, face| numbers(axis.index(), face).map(Some));
+    pub(super) fn faces(&mut self, quantity: Quantity, numbers: impl Fn(usize, usize) -> Option<Numbers>) {
+        self.judge_faces(quantity, |axis, face| numbers(axis.index(), face).map(Some));
     }
 
     /// The same; `Some(None)` is excused.
-    pub(super) fn judge_faces(
-        &mut self,
-        grid: &Grid,
-        quantity: Quantity,
-        numbers: impl Fn(Axis, usize) -> Option<Option<Numbers>>,
-    ) {
+    pub(super) fn judge_faces(&mut self, quantity: Quantity, numbers: impl Fn(Axis, usize) -> Option<Option<Numbers>>) {
+        let grid = self.grid;
         for axis in Axis::ALL {
-            let pair = |face, (gpu, twin, bound)| (gpu, twin, bound, Place::face(grid, axis, face));
+            let pair = |face, (gpu, twin, bound)| (gpu, twin, bound, Place::face(&grid, axis, face));
             let faces = (0..grid.n_faces(axis))
                 .filter_map(|face| Some(numbers(axis, face)?.map(|numbers| pair(face, numbers))));
             self.judge(quantity, faces);

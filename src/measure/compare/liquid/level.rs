@@ -91,7 +91,7 @@ impl LiquidComparison<'_> {
         bound: f64,
     ) {
         let [twin, others @ ..] = twins else { return };
-        self.table.judge_cells(&self.grid, quantity, |cell| {
+        self.table.judge_cells(quantity, |cell| {
             after.band[cell].then(|| judged(gpu[cell], twin[cell], bound, others.iter().map(|other| other[cell])))
         });
     }
@@ -209,7 +209,7 @@ impl LiquidComparison<'_> {
             (0..PATTERNS).map(|pattern| advect(&moved_faces(velocity, bound, pattern), &ballistic)).collect();
         others.extend(self.near_ballistic().map(|near| advect(velocity, &near)));
         let settled = self.settled(after);
-        self.table.judge_faces(&grid, ["u*", "m/s"], |axis, face| {
+        self.table.judge_faces(["u*", "m/s"], |axis, face| {
             let a = axis.index();
             // A face on a side of the domain may lie in a tile beyond the band.
             let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
@@ -337,8 +337,7 @@ impl LiquidComparison<'_> {
         let level = self.in_cells(&after.liquid_distance);
         let (open, volumes) = (&self.cut.open, &self.open_volumes);
         let twin = reference::liquid_components(&grid, open, volumes, &level);
-        self.table
-            .cells(&grid, ["component", ""], |cell| Some((now.component[cell].into(), twin.label[cell].into(), 0.0)));
+        self.table.cells(["component", ""], |cell| Some((now.component[cell].into(), twin.label[cell].into(), 0.0)));
         let whole: f64 = now.component_volume.iter().sum();
         let slots = now.spray.iter().zip(&after.markers);
         let flying = slots.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
@@ -460,7 +459,7 @@ impl LiquidComparison<'_> {
             }
             near
         });
-        self.table.judge_faces(&grid, ["u*", "m/s"], |axis, face| {
+        self.table.judge_faces(["u*", "m/s"], |axis, face| {
             let (a, near) = (axis.index(), near[axis.index()][face]);
             let mass = reference::face_mass(&grid, &volumes, axis, face).max(1e-3);
             let off = near / 8.0 * weight * (fastest + grid.dx / dt) / mass;

@@ -106,7 +106,7 @@ impl<'a> LiquidComparison<'a> {
             step,
             components: reference::Components::default(),
             courant: 0.0,
-            table: Table::default(),
+            table: Table::new(grid),
             twin: Twin {
                 liquid_distance: before.liquid_distance.clone(),
                 distance_bounds: vec![0.0; grid.n_cells()],
@@ -233,8 +233,8 @@ impl<'a> LiquidComparison<'a> {
             let (&gpu, &twin) = (gpu.get(index)?, twin.get(index)?);
             Some((gpu, twin, EPS * twin.abs()))
         };
-        self.table.faces(&grid, ["open fractions", ""], |a, face| rounded(&device.open[a], &cut.open[a], face));
-        self.table.cells(&grid, ["distance", "m"], |cell| rounded(&device.solid_distance, &cut.solid_distance, cell));
+        self.table.faces(["open fractions", ""], |a, face| rounded(&device.open[a], &cut.open[a], face));
+        self.table.cells(["distance", "m"], |cell| rounded(&device.solid_distance, &cut.solid_distance, cell));
         self.cut = device.clone();
         self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
     }
@@ -390,7 +390,7 @@ impl<'a> LiquidComparison<'a> {
 
     /// Compares u* on the faces of the band.
     fn add_band_faces(&mut self, after: &LiquidSnapshot, twin: &[Vec<f64>; 3], bound: impl Fn(usize, usize) -> f64) {
-        self.table.faces(&self.grid, ["u*", "m/s"], |a, face| {
+        self.table.faces(["u*", "m/s"], |a, face| {
             after.face_band[a][face].then_some((after.velocity_next[a][face], twin[a][face], bound(a, face)))
         });
     }
@@ -420,7 +420,7 @@ impl<'a> LiquidComparison<'a> {
         let agrees = |cell: usize, other: &[f64]| (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
         // Outside the band the device stores air without a distance.
         let distance = |of: &[f64], cell: usize| if after.band[cell] || of[cell] < 0.0 { of[cell] } else { dx };
-        self.table.judge_cells(&grid, ["phi", "m"], |cell| {
+        self.table.judge_cells(["phi", "m"], |cell| {
             let excused = differs(cell) && other.as_ref().is_some_and(|other| agrees(cell, other));
             Some((!excused).then(|| (distance(gpu, cell), distance(&twin, cell), bounds[cell])))
         });
@@ -467,14 +467,14 @@ impl<'a> LiquidComparison<'a> {
             twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
         }
         let (stencil, table) = (&twin.stencil, &mut self.table);
-        table.cell_flags(&grid, "ballistic", &after.ballistic, &reference::ballistic_cells(&open, stencil));
-        table.cell_flags(&grid, "active", &after.active, &stencil.active_mask());
-        table.faces(&grid, ["weights", ""], |a, face| Some((after.weight[a][face], stencil.weight[a][face], 0.0)));
-        table.cells(&grid, ["free-surface terms", ""], |cell| {
+        table.cell_flags("ballistic", &after.ballistic, &reference::ballistic_cells(&open, stencil));
+        table.cell_flags("active", &after.active, &stencil.active_mask());
+        table.faces(["weights", ""], |a, face| Some((after.weight[a][face], stencil.weight[a][face], 0.0)));
+        table.cells(["free-surface terms", ""], |cell| {
             let (gpu, twin) = (after.dirichlet[cell], stencil.dirichlet[cell]);
             Some((gpu, twin, DIRICHLET_ROUNDINGS * EPS * twin))
         });
-        table.cells(&grid, ["1 / diagonal", ""], |cell| {
+        table.cells(["1 / diagonal", ""], |cell| {
             let diagonal = stencil.diagonal[cell];
             let twin = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
             // A sum of eleven and a quotient more.
@@ -510,7 +510,7 @@ impl<'a> LiquidComparison<'a> {
         for &cell in active.closed.iter().flatten() {
             closed[cell] = true;
         }
-        self.table.cell_flags(&grid, "closed components", &after.closed, &closed);
+        self.table.cell_flags("closed components", &after.closed, &closed);
         let mut rhs: Vec<f64> = twin.values.iter().map(|b| b / area).collect();
         if let Some(clip) = clip {
             for &(cell, flux) in clip.obstacles().flux() {
@@ -528,7 +528,7 @@ impl<'a> LiquidComparison<'a> {
             reference::remove_means(&active.closed, &mut rhs);
             bound += 4.0 * EPS * largest(gross);
         }
-        self.table.cells(&grid, ["E u* / dx^2", "m/s"], |cell| {
+        self.table.cells(["E u* / dx^2", "m/s"], |cell| {
             let numbers = (gpu[cell], rhs[cell], bound);
             active.stencil.active(cell).then_some(numbers)
         });
@@ -558,8 +558,8 @@ impl<'a> LiquidComparison<'a> {
         );
         reference::carry_faces(&self.taps, &self.cut.open, self.running.running, &mut twin, &mut valid);
         let flags = |a: usize, face: usize| Some((number(after.valid[a][face]), number(valid[a][face]), 0.0));
-        self.table.faces(&grid, ["valid faces", "flag"], flags);
-        self.table.faces(&grid, ["u", "m/s"], |a, face| {
+        self.table.faces(["valid faces", "flag"], flags);
+        self.table.faces(["u", "m/s"], |a, face| {
             let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
             let change = (twin - u_star[a][face]).abs();
             let bound = EPS * (13.0 * change + 2.0 * twin.abs());
@@ -592,7 +592,7 @@ impl<'a> LiquidComparison<'a> {
         let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
         let cut = self.cuts().then_some(&self.cut);
-        self.table.judge_faces(&grid, ["u", "m/s"], |axis, face| {
+        self.table.judge_faces(["u", "m/s"], |axis, face| {
             let a = axis.index();
             // Outside the band the device has no velocities, not even those of bodies.
             let twin = if after.face_band[a][face] { twin[a][face] } else { 0.0 };

@@ -135,7 +135,7 @@ impl LiquidComparison<'_> {
         let left: Vec<f64> = before.iter().zip(&constrained).map(|(b, constrained)| b - constrained).collect();
         let opened = &self.twin.opened;
         let reassembled = |cell: usize| if opened[cell] { self.twin.rhs_bound } else { 0.0 };
-        self.table.cells(&grid, ["E u* - J v", "m/s"], |cell| {
+        self.table.cells(["E u* - J v", "m/s"], |cell| {
             let rounded = unit(after.real) * 8.0 * before[cell].abs();
             // Areas over dx^2 are f32, and so is the dx of this grid.
             let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded + reassembled(cell);
@@ -179,7 +179,7 @@ impl LiquidComparison<'_> {
         let reach = majorant(&stored.stencil, &stored.closed, allowed.collect());
         let pascal = self.pascal();
         let bounds: Vec<f64> = reach.iter().zip(&rounded).map(|(reach, rounded)| pascal * (reach + rounded)).collect();
-        self.table.cells(&self.grid, ["pressure", "Pa"], |cell| {
+        self.table.cells(["pressure", "Pa"], |cell| {
             let (gpu, twin) = (pascal * after.potential[cell], pascal * solution[cell]);
             mask[cell].then_some((gpu, twin, bounds[cell]))
         });
@@ -206,7 +206,7 @@ impl LiquidComparison<'_> {
         let reach = majorant(&assembled.stencil, &assembled.closed, differences);
         let bound = |cell: usize| pascal * (reach[cell] + 1e3 * EXACT * twin[cell].abs());
         self.table.stage = "assembly";
-        self.table.cells(&grid, ["pressure", "Pa"], |cell| {
+        self.table.cells(["pressure", "Pa"], |cell| {
             stored.stencil.active(cell).then_some((pascal * solution[cell], pascal * twin[cell], bound(cell)))
         });
         let cells = (0..grid.n_cells()).filter(|&cell| stored.stencil.active(cell));
