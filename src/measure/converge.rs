@@ -13,7 +13,7 @@ use super::sweep::{Row, Status, Sweep};
 use super::{cell, write_csv, write_json};
 use crate::Error;
 use crate::output::plot::{Chart, Run, write_page};
-use crate::scene::{Scene, SolidMesh, names};
+use crate::scene::{Scene, Solid, SolidMesh, names};
 
 /// Statistics of a probe that are studied, with their places in [`Statistics::numbers`].
 const QUANTITIES: [(&str, usize); 4] = [("least", 0), ("largest", 2), ("mean", 4), ("last", 5)];
@@ -229,8 +229,7 @@ pub fn refined(
     refined: Refined,
 ) -> Result<impl Fn(f64) -> Vec<String> + use<>, Error> {
     let Refined { steps, elements } = refined;
-    let time = scene.time.clone();
-    let slab = scene.domain.slab;
+    let (time, slab) = (scene.time.clone(), scene.domain.slab);
     if steps && time.fixed_step.is_none() && time.max_step.is_none() {
         return Err(Error::input(
             "--steps",
@@ -242,8 +241,8 @@ pub fn refined(
         if scene.solids.is_empty() {
             return Err(Error::input("--elements", "the scene has no [[solid]]", "leave it away"));
         }
-        let file = |mesh: &SolidMesh| matches!(mesh, SolidMesh::File { .. });
-        if let Some(number) = scene.solids.iter().position(|solid| file(&solid.mesh)) {
+        let from_file = |solid: &Solid| matches!(solid.mesh, SolidMesh::File { .. });
+        if let Some(number) = scene.solids.iter().position(from_file) {
             return Err(Error::input(
                 scene.at(&format!("solid[{number}].mesh")),
                 "the tetrahedra of a file cannot be refined by --elements",
@@ -263,8 +262,8 @@ pub fn refined(
             all.extend(present.map(|(key, step)| format!("time.{key}={:?}", step / scale)));
         }
         for (name, mesh) in meshes.iter().filter(|_| elements) {
-            let key = format!("solid.{name}.mesh");
-            all.push(match mesh {
+            let size = |kind, cell_size| format!("{kind}.cell_size={:?}", cell_size / scale);
+            let length = match mesh {
                 SolidMesh::Box { cells, .. } => {
                     let mut bricks = cells.map(|n| (n as f64 * scale).round().max(1.0));
                     // Nothing varies across a slab.
@@ -272,19 +271,14 @@ pub fn refined(
                         bricks[slab.axis] = cells[slab.axis] as f64;
                     }
                     let [x, y, z] = bricks;
-                    format!("{key}.box.cells=[{x}, {y}, {z}]")
+                    format!("box.cells=[{x}, {y}, {z}]")
                 }
-                SolidMesh::Sphere { cell_size, .. } => {
-                    format!("{key}.sphere.cell_size={:?}", cell_size / scale)
-                }
-                SolidMesh::Shell { cell_size, .. } => {
-                    format!("{key}.shell.cell_size={:?}", cell_size / scale)
-                }
-                SolidMesh::Surface { cell_size, .. } => {
-                    format!("{key}.surface.cell_size={:?}", cell_size / scale)
-                }
+                SolidMesh::Sphere { cell_size, .. } => size("sphere", cell_size),
+                SolidMesh::Shell { cell_size, .. } => size("shell", cell_size),
+                SolidMesh::Surface { cell_size, .. } => size("surface", cell_size),
                 SolidMesh::File { .. } => continue,
-            });
+            };
+            all.push(format!("solid.{name}.mesh.{length}"));
         }
         all
     })

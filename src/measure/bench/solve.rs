@@ -423,18 +423,18 @@ impl Measurement<'_> {
             widths: [buffers.variant.inner, buffers.variant.real].map(|real| real.bytes() as f64),
             preconditioner: self.solver.preconditioner,
         };
-        let own = match system {
-            Assembled::Pressure(_) => pressure.pressure(),
+        let coupled = match system {
+            Assembled::Pressure(_) => None,
             Assembled::Both(coupled, solids) => {
                 let wet_nodes = || coupled.coupling.pairs().iter().map(|pair| pair.node).collect::<BTreeSet<_>>().len();
                 let corrections = match solved.condensed {
                     true => Corrections::Condensed { wet_nodes: wet_nodes() },
                     false => Corrections::TwoField { degree: device.degree() },
                 };
-                pressure.coupled(&SolidBytes::new(solids, pressure.widths), corrections)
+                Some((SolidBytes::new(solids, pressure.widths), corrections))
             }
         };
-        let bytes = pressure.set_up() + own;
+        let bytes = pressure.total(coupled);
         let (seconds, (_, traffic)) = (timed.spread(), &timed.outcome);
         Ok(row! {
             iterations: iterations, rounds: solved.refinements, runs: timed.runs(), seconds: seconds, residual_p: residuals[0],
