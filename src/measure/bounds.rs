@@ -127,8 +127,7 @@ impl<'a> MarkerError<'a> {
         let weight = surface.radius / grid.dx * (rounded + 3.0 * self.steep * position);
         let sample = |position: f64| sample_error(self.speed, self.slope, position);
         let error_at = |x: DVec3, position: f64| {
-            let below = grid.velocity_at(velocity, x - layer.up);
-            let difference = (grid.velocity_at(velocity, x) - below).length();
+            let difference = (grid.velocity_at(velocity, x) - grid.velocity_at(velocity, x - layer.up)).length();
             let error = layer.ahead * (sample(position) + sample(position + direction)) + weight * difference;
             let least = layer.ahead * difference - error;
             sample(position) + error * (layer.most / least.max(layer.most)) + 6.0 * EPS * layer.most

@@ -328,8 +328,7 @@ impl Sweep {
 
     /// Indices of the runs of a shard.
     pub fn shard_runs(&self, shard: Shard) -> Vec<usize> {
-        let first = shard.index - 1;
-        (first..self.runs.len()).step_by(shard.count).collect()
+        (shard.index - 1..self.runs.len()).step_by(shard.count).collect()
     }
 
     /// Row of a run.
@@ -495,10 +494,7 @@ fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
     let progress = &manifest.progress;
     let (status, exit_code) = match progress.status {
         RunStatus::Finished => (Status::Finished, Some(0)),
-        RunStatus::Interrupted => {
-            let code = Error::Interrupted.exit_code();
-            (Status::Interrupted, Some(code.into()))
-        }
+        RunStatus::Interrupted => (Status::Interrupted, Some(Error::Interrupted.exit_code().into())),
         RunStatus::Failed => (Status::Failed, None),
         RunStatus::Running => (Status::BrokenOff, None),
     };

@@ -179,8 +179,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
 /// Runs the selected cases of the limit of added mass.
 fn run_limits(run: &mut Run, limits: &[Limit], options: &Options) -> Result<(), Error> {
     let table = "stability_limit";
-    let selected = limits.iter().filter(|limit| options.selects(&limit.name()));
-    let cases = selected.map(|limit| {
+    let cases = limits.iter().filter(|limit| options.selects(&limit.name())).map(|limit| {
         BenchCase::new(table, row! { name: limit.name() }, |_| Ok(vec![(table, limit.run(&options.backend)?)]))
     });
     run.cases(cases.collect())?;
@@ -238,8 +237,7 @@ fn run_all(cases: &[Case], backend: &Backend, mut take: impl FnMut(Row) -> Resul
 /// Sorts the rows in the order of the cases.
 fn sort(tables: &mut [Table]) {
     let cases = cases(1, 1.0).unwrap_or_default();
-    let place = |row: &Row| cases.iter().position(|case| case.name == row.text("name"));
-    tables[0].rows.sort_by_key(place);
+    tables[0].rows.sort_by_key(|row: &Row| cases.iter().position(|case| case.name == row.text("name")));
 }
 
 /// Whether a row has no failure.

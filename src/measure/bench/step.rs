@@ -169,8 +169,7 @@ impl<'a> Record<'a> {
 
     /// Another run from the scene's start. Its simulation is dropped at the end: all scenes together may exceed the memory.
     fn run(&mut self, options: &Options) -> Result<(), Error> {
-        let scene = &self.case.scene;
-        let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
+        let mut simulation = Simulation::new(&self.case.scene, &Backend::Gpu(options.adapter.clone()))?;
         let (gpu, solids) = (path_of(&simulation).gpu(), simulation.solids());
         self.timestamps = gpu.report().timestamps;
         self.sizes = row! {
@@ -326,8 +325,7 @@ pub fn derive(tables: &mut [Table]) {
 
 /// Stages of each kind of sub-steps as bars, a mark at the seconds of the wall clock.
 fn draw(results: &Results) -> Page {
-    let scenes = grouped(results.rows("step"), |row| Some(row.text("scene")));
-    let lists = scenes.into_iter().map(|(scene, rows)| {
+    let lists = grouped(results.rows("step"), |row| Some(row.text("scene"))).into_iter().map(|(scene, rows)| {
         let bars = rows.into_iter().map(|row| {
             let key = row.only(&["scene", "scale", "solids_scale", "kind"]);
             let stages = results.rows("step_stages").iter();

@@ -322,8 +322,7 @@ impl<'a> SolidComparison<'a> {
         let (mut sums, mut gross) = (vec![DVec3::ZERO; n], vec![0.0; n]);
         // The host computes the integrals, with a dx in f64.
         let (triangles, grid) = (&both.at_rest.triangles, self.scene.grid());
-        let patches = both.clip.patches().iter();
-        for patch in patches.filter(|patch| both.liquid.active[patch.cell]) {
+        for patch in both.clip.patches().iter().filter(|patch| both.liquid.active[patch.cell]) {
             let offset = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
             let slope = both.slopes[patch.cell];
             for (corner, &node) in triangles[patch.triangle].iter().enumerate() {
@@ -385,8 +384,7 @@ impl<'a> SolidComparison<'a> {
         let mut area_error = 0.0;
         if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
             let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
-            let pushed = system.free_part(force.as_chunks().0);
-            size = size.max(COUPLING_SHARE * norm(&pushed));
+            size = size.max(COUPLING_SHARE * norm(&system.free_part(force.as_chunks().0)));
             system.push(&force);
             area_error = 4.0 * EPS * norm(&gross);
         }

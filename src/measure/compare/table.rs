@@ -275,8 +275,8 @@ impl Table {
         [gpu, twin]: [&[[f64; 3]]; 2],
         bound: impl Fn(usize, usize) -> f64,
     ) {
-        let components = (0..gpu.len()).flat_map(|node| (0..3).map(move |axis| (node, axis)));
-        let pairs = components
+        let pairs = (0..gpu.len())
+            .flat_map(|node| (0..3).map(move |axis| (node, axis)))
             .map(|(node, axis)| (gpu[node][axis], twin[node][axis], bound(node, axis), Place::Node(node, rest[node])));
         self.add(quantity, pairs);
     }

@@ -112,7 +112,7 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
 
 /// The system of the f64 path.
 fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<Coupled, Error> {
-    let ((system, pressure, velocity), sub_step, path) = on_cpu(scene, options, |system| match system {
+    let (((system, pressure, velocity), sub_step), path) = on_cpu(scene, options, |system| match system {
         StepSystem::Coupled(system, pressure, velocity) => Some((system.clone(), pressure.to_vec(), velocity.to_vec())),
         StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
     })?;

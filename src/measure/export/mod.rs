@@ -212,8 +212,7 @@ fn ensure_replaceable(out: &Path) -> Result<(), Error> {
 fn is_meta(path: &Path) -> bool {
     let text = fs::read(path).unwrap_or_default();
     let meta: Value = serde_json::from_slice(&text).unwrap_or_default();
-    let keys = ["cutwater", "step", "unknowns", "residual"];
-    keys.iter().all(|key| meta.get(key).is_some())
+    ["cutwater", "step", "unknowns", "residual"].iter().all(|key| meta.get(key).is_some())
 }
 
 /// b - A x
@@ -259,7 +258,7 @@ fn on_cpu<T>(
     scene: &Scene,
     options: &Options,
     mut read: impl FnMut(StepSystem) -> Option<T>,
-) -> Result<(T, SubStep, Reference), Error> {
+) -> Result<((T, SubStep), Reference), Error> {
     let step = options.step;
     let mut path = reference_path(scene)?;
     if let Some((state, _)) = &options.start {
@@ -276,7 +275,7 @@ fn on_cpu<T>(
             }
         })?;
         if let Some(value) = value {
-            return Ok((value, SubStep { dt: time_step.dt, report, adapter: None }, path));
+            return Ok(((value, SubStep { dt: time_step.dt, report, adapter: None }), path));
         }
         if reached {
             return Err(no_system_of_both(step));

@@ -19,11 +19,11 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
             (stage == Stage::Solve).then(|| stored(path, dt)).transpose()
         })?,
         Backend::Cpu => {
-            let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
+            let read = |system: StepSystem| match system {
                 StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
                 StepSystem::Pressure(..) | StepSystem::Coupled(..) => None,
-            })?;
-            (value, sub_step)
+            };
+            on_cpu(scene, options, read)?.0
         }
     };
     let components = system.components();

@@ -87,8 +87,7 @@ fn buffers(grid: usize, solver: &Solver, adapter: &AdapterReport) -> Result<Vec<
     let distance = gpu.buffer("bench.liquid_distance", n)?;
     let buffers = SolverBuffers::new(&gpu, &grid, solver.precision)?;
     let (list, args) = (gpu.buffer("bench.list", 0)?, gpu.buffer("bench.args", 4)?);
-    let within = Within { list: &list, args: &args };
-    PressureSystem::new(&gpu, &buffers, &open, &distance, within, solver.theta_floor)?;
+    PressureSystem::new(&gpu, &buffers, &open, &distance, Within { list: &list, args: &args }, solver.theta_floor)?;
     Components::new(&gpu, &buffers, false)?;
     PressureSolver::new(&gpu, &buffers, &velocity, &open, solver)?;
     Ok(gpu.buffer_plans())

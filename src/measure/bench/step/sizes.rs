@@ -72,8 +72,7 @@ pub fn largest_scale(load: &dyn Fn(f64) -> Result<Case, Error>, adapter: &Adapte
     let (unit, step) = units(cells);
     let scale = |steps: usize| (steps * step) as f64 / unit as f64;
     fits(scale(1))?;
-    let steps = largest(&|steps| fits(scale(steps)).is_ok());
-    Ok(scale(steps))
+    Ok(scale(largest(&|steps| fits(scale(steps)).is_ok())))
 }
 
 /// Greatest common divisor of the cells along the axes, and its multiple that is a step of the search.

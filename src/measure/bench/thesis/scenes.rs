@@ -70,8 +70,7 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
                 "give the folder scenes of cutwater's source, or --tables without 6.1",
             ));
         }
-        let precisions = options.precisions.iter();
-        for &precision in precisions.filter(|&&precision| f64 || precision != Precision::F64) {
+        for &precision in options.precisions.iter().filter(|&&precision| f64 || precision != Precision::F64) {
             let precision = format!("solver.precision={}", precision.name());
             scenes.push((number, Scene::load(&file, &[precision], options.scale)?));
         }

@@ -237,8 +237,7 @@ impl<'a> Case<'a> {
                 "give later frames, such as 10,40,80",
             )
         })?;
-        let pattern = Arc::new(BlockPattern::new(solids));
-        let deformed = solid_matrices(solids, &pattern, &path.state().displacement);
+        let deformed = solid_matrices(solids, &Arc::new(BlockPattern::new(solids)), &path.state().displacement);
         let dt = time_step.dt;
         Ok(Case {
             stress: StressVariables::new(solids, &deformed.deformations, |body| body.zeta_stiffness(dt)),
@@ -303,8 +302,7 @@ impl<'a> Case<'a> {
     /// Paths of the device with each precision and form, compiled.
     fn devices(&self, options: &Options) -> Result<Vec<(Precision, GpuPath)>, Error> {
         let precisions = options.precisions.iter().flat_map(|&precision| {
-            let forms = [Formulation::Auto, Formulation::TwoField];
-            forms.map(|formulation| self.settings(precision, formulation))
+            [Formulation::Auto, Formulation::TwoField].map(|formulation| self.settings(precision, formulation))
         });
         // In f32 both forms are the same.
         let solvers =

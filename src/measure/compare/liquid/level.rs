@@ -375,10 +375,8 @@ impl LiquidComparison<'_> {
         if targets.len() != components.volume.len() {
             return;
         }
-        let twins = [0.0, 1e-5, -1e-5].map(|relative| {
-            let targets = targets.iter().map(|target| target * (1.0 + relative));
-            shifted(&targets.collect::<Vec<_>>())
-        });
+        let twins = [0.0, 1e-5, -1e-5]
+            .map(|relative| shifted(&targets.iter().map(|target| target * (1.0 + relative)).collect::<Vec<_>>()));
         // The shift is bounded.
         let offs = |other| std::iter::zip(other, &twins[0]).map(|(other, twin): (&f64, &f64)| (other - twin).abs());
         let spread = largest(twins[1..].iter().flat_map(offs));
@@ -417,8 +415,7 @@ impl LiquidComparison<'_> {
         let [deleted, seeded] = reference::marker_band(&grid, solid, levels, crowd, numbers, velocity, &mut markers);
         let slots = self.before.markers.iter().zip(&after.markers);
         let gone = slots.filter(|(x, now)| x.is_some() && now.is_none()).count();
-        let alive = after.markers.iter().flatten().count();
-        let new = (alive + gone).saturating_sub(n_before);
+        let new = (after.markers.iter().flatten().count() + gone).saturating_sub(n_before);
         // As many markers as lie within a rounding of the depth may differ: of some thousand, one.
         let near = |n: usize| 1.0 + 1e-3 * n as f64;
         whole! { self.table;

@@ -252,8 +252,7 @@ impl<'a> LiquidComparison<'a> {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
         let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
-        let phi = &self.before.liquid_distance;
-        let distance = reference::surface_distance(&grid, solid_distance, phi);
+        let distance = reference::surface_distance(&grid, solid_distance, &self.before.liquid_distance);
         let surface = reference::Surface { distance: &distance, radius: f64::from(self.step.marker_radius) * grid.dx };
         let error = MarkerError::new(&grid, velocity, surface, dt);
         let sides = self.scene.domain.open;
@@ -497,8 +496,7 @@ impl<'a> LiquidComparison<'a> {
         let velocity = &self.before.velocity_next;
         let (open, source) = (self.open_to_flux(), Some(self.source()));
         let mut twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
-        let mask = active.stencil.active_mask();
-        let of_excess = self.add_excess(&mask, &mut twin);
+        let of_excess = self.add_excess(&active.stencil.active_mask(), &mut twin);
         let area = grid.dx * grid.dx;
         let speed = active_speed(&grid, &active.stencil, velocity);
         let terms = 12.0 * 6.0 * unit(after.real) * speed + of_excess;
@@ -674,10 +672,7 @@ impl<'a> LiquidComparison<'a> {
     fn diagnose_coupling(&mut self, after: &LiquidSnapshot, both: &Both) {
         let Some(report) = both.report else { return };
         let [force, gross] = both.force(self.pascal());
-        let sums = |values: &[f64]| {
-            let nodes = values.as_chunks::<3>().0.iter();
-            nodes.map(|force| DVec3::from(*force)).sum::<DVec3>()
-        };
+        let sums = |values: &[f64]| values.as_chunks::<3>().0.iter().map(|force| DVec3::from(*force)).sum::<DVec3>();
         let bound = (4.0 * EPS + 64.0 * unit(after.real)) * sums(&gross).length();
         self.table.add(["J^T p", "N"], components(report.force, sums(&force).into(), bound, Place::Whole));
         self.table.add(["touching", "flag"], [flag(report.touching, both.touch(), Place::Whole)]);
@@ -772,8 +767,7 @@ fn advected(
     bound: impl Fn(DVec3) -> f64 + Sync,
     advect: impl Fn(usize, [f64; 3]) -> Marker + Sync,
 ) -> Vec<Advected> {
-    let slots = before.par_iter().zip(after).enumerate();
-    let rows = slots.map(|(slot, (start, gpu))| {
+    let rows = before.par_iter().zip(after).enumerate().map(|(slot, (start, gpu))| {
         let place = Place::Marker(slot, start.unwrap_or_default().into());
         let bound = start.map_or(0.0, |start| bound(start.into()));
         let twin = start.and_then(|start| advect(slot, start));
