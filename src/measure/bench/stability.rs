@@ -376,13 +376,13 @@ pub fn check(row: &mut Row, moment: &Moment, budget: &Budget, dt: f64) {
     let ratio = moment.energy() / budget.energy;
     row.set("energy_end", ratio);
     raise(row, "elastic_ratio", moment.elastic / budget.energy);
-    let (motion, solid, liquid) = (moment.motion(), moment.solid_speed, moment.liquid_speed);
-    for ([name, bound_name, what, unit], value, bound) in [
-        (["energy_ratio", "energy_bound", "energy", "times that of the start"], ratio, budget.energy_bound(dt)),
-        (["motion", "motion_bound", "energy of motion and strain", "J"], motion, budget.motion_bound(dt)),
-        (["solid_speed", "solid_speed_bound", "speed of a node", "m/s"], solid, budget.solid_speed_bound(dt)),
-        (["liquid_speed", "liquid_speed_bound", "speed of the liquid", "m/s"], liquid, budget.liquid_speed_bound(dt)),
-    ] {
+    let numbers = [
+        (["energy_ratio", "energy_bound", "energy", "times that of the start"], ratio),
+        (["motion", "motion_bound", "energy of motion and strain", "J"], moment.motion()),
+        (["solid_speed", "solid_speed_bound", "speed of a node", "m/s"], moment.solid_speed),
+        (["liquid_speed", "liquid_speed_bound", "speed of the liquid", "m/s"], moment.liquid_speed),
+    ];
+    for (([name, bound_name, what, unit], value), bound) in numbers.into_iter().zip(budget.bounds(dt)) {
         raise(row, name, value);
         row.set(bound_name, bound);
         if value > bound {
@@ -437,7 +437,7 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         let liquid = report.liquid.map(|liquid| liquid.diagnosis);
         let moment = budget.moment(&liquid.unwrap_or_default(), &solid.diagnosis);
         check(row, &moment, &budget, longest);
-        energies.push(moment.solids() / budget.energy);
+        energies.push(moment.solids / budget.energy);
         if row.has("deflection") {
             row.set("growth", growth(&energies));
         }

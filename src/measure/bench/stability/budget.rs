@@ -29,11 +29,11 @@ const LIQUID_FACTOR: f64 = 10.0;
 /// Energies and speeds of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
-    /// J
-    pub liquid_kinetic: f64,
-    /// J
-    pub solid_kinetic: f64,
-    /// J
+    /// Kinetic energy of the liquid, J.
+    pub liquid: f64,
+    /// Kinetic and elastic energy of the solids, J.
+    pub solids: f64,
+    /// Elastic energy, J.
     pub elastic: f64,
     /// J, from the lowest corner of the domain.
     pub potential: f64,
@@ -46,12 +46,7 @@ pub struct Moment {
 impl Moment {
     /// Kinetic and elastic energy, J.
     pub fn motion(&self) -> f64 {
-        self.liquid_kinetic + self.solids()
-    }
-
-    /// Kinetic and elastic energy of the solids, J.
-    pub fn solids(&self) -> f64 {
-        self.solid_kinetic + self.elastic
+        self.liquid + self.solids
     }
 
     /// J
@@ -126,8 +121,8 @@ impl Budget {
         let share = if liquid.volume > self.volume { self.volume / liquid.volume } else { 1.0 };
         let potential = liquid.potential_energy - self.density * liquid.volume * self.lowest;
         Moment {
-            liquid_kinetic: share * liquid.kinetic_energy,
-            solid_kinetic: solids.kinetic_energy,
+            liquid: share * liquid.kinetic_energy,
+            solids: solids.kinetic_energy + solids.elastic_energy,
             elastic: solids.elastic_energy,
             potential: share * potential + solids.potential_energy - self.solids * self.lowest,
             solid_speed: solids.max_speed,
@@ -140,26 +135,17 @@ impl Budget {
         if self.volume > 0.0 { 1.0 - (liquid.volume + outflow) / self.volume } else { 0.0 }
     }
 
-    /// Bound of the total energy over that of the start, for sub-steps up to `dt` s.
-    pub fn energy_bound(&self, dt: f64) -> f64 {
+    /// Bounds for sub-steps up to `dt` s: total energy over that of the start; energy of motion and strain, J; speeds of a node and of a face, m/s.
+    pub fn bounds(&self, dt: f64) -> [f64; 4] {
         let g = self.gravity.length();
         let gained = 0.5 * self.mass * g * (2.0 * g * self.height).sqrt() * dt;
-        MOST_ENERGY + gained / self.energy
-    }
-
-    /// Bound of the energy of motion and strain, J.
-    pub fn motion_bound(&self, dt: f64) -> f64 {
         let momentum = (2.0 * self.available * self.mass).sqrt();
-        MOST_ENERGY * self.available + 0.5 * self.gravity.length() * dt * momentum
-    }
-
-    /// Bound of the speed of a node, m/s.
-    pub fn solid_speed_bound(&self, dt: f64) -> f64 {
-        SOLID_FACTOR * (self.fall + self.gravity.length() * dt)
-    }
-
-    /// Bound of the speed of a face, m/s.
-    pub fn liquid_speed_bound(&self, dt: f64) -> f64 {
-        LIQUID_FACTOR * (self.fall + self.gravity.length() * dt)
+        let speed = self.fall + g * dt;
+        [
+            MOST_ENERGY + gained / self.energy,
+            MOST_ENERGY * self.available + 0.5 * g * dt * momentum,
+            SOLID_FACTOR * speed,
+            LIQUID_FACTOR * speed,
+        ]
     }
 }
