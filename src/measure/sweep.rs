@@ -1,10 +1,10 @@
 //! Sweeps: a run for every combination of values of some keys of a scene. Each has its own folder, and a table summarises the folders.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::{Mutex, MutexGuard};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -125,6 +125,8 @@ pub struct Run {
     pub scale: f64,
     /// Properties of the scene with these overrides, or its error.
     scene: Result<Checked, Error>,
+    /// Row of a finished run, which does not change.
+    finished: OnceLock<Row>,
 }
 
 /// Properties of a scene that was read.
@@ -152,6 +154,7 @@ impl Run {
             values,
             overrides,
             scale,
+            finished: OnceLock::new(),
             scene: scene.map(|scene| Checked {
                 frames: options.frames.unwrap_or_else(|| scene.n_frames()),
                 probes: (scene.probes.iter())
@@ -261,8 +264,6 @@ pub struct Sweep {
     options: Options,
     /// Runs of all shards.
     pub runs: Vec<Run>,
-    /// Rows of finished runs, which do not change.
-    finished: Mutex<BTreeMap<usize, Row>>,
 }
 
 impl Sweep {
@@ -323,7 +324,7 @@ impl Sweep {
         {
             return Err(error);
         }
-        Ok(Sweep { axes, options, runs, finished: Mutex::default() })
+        Ok(Sweep { axes, options, runs })
     }
 
     /// Indices of the runs of a shard.
@@ -333,18 +334,12 @@ impl Sweep {
 
     /// Row of a run.
     pub fn row(&self, number: usize) -> Row {
-        if let Some(row) = self.lock_finished().get(&number) {
-            return row.clone();
+        let run = &self.runs[number];
+        let row = run.finished.get().cloned().unwrap_or_else(|| self.read_row(run));
+        match row.status {
+            Status::Finished => run.finished.get_or_init(|| row).clone(),
+            _ => row,
         }
-        let row = self.read_row(&self.runs[number]);
-        if row.status == Status::Finished {
-            self.lock_finished().insert(number, row.clone());
-        }
-        row
-    }
-
-    fn lock_finished(&self) -> MutexGuard<'_, BTreeMap<usize, Row>> {
-        self.finished.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     fn read_row(&self, run: &Run) -> Row {
@@ -360,8 +355,8 @@ impl Sweep {
             }
         };
         let version = env!("CARGO_PKG_VERSION");
-        let record = fs::read(run.folder.join(RECORD)).ok();
-        let record: Option<Record> = record.and_then(|text| serde_json::from_slice(&text).ok());
+        let text = fs::read(run.folder.join(RECORD)).unwrap_or_default();
+        let record: Option<Record> = serde_json::from_slice(&text).ok();
         let record = record.filter(|record| record.scene_sha256 == *hash && record.cutwater == version);
         let manifest = Manifest::read(&run.folder).ok();
         let current = |manifest: &Manifest| {
