@@ -137,9 +137,8 @@ struct Timed {
 impl Timed {
     fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
         let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
-        let mut timed = Timed { scene, simulation, at_start: 0 };
-        timed.at_start = timed.gpu().allocated().len();
-        Ok(timed)
+        let at_start = simulation.gpu().map_or(0, |gpu| gpu.allocated().len());
+        Ok(Timed { scene, simulation, at_start })
     }
 
     fn gpu(&self) -> &Gpu {

@@ -15,6 +15,7 @@ mod table;
 pub use table::{MOST_EXCUSED, Place, Row, Worst};
 
 use super::bounds::EPS;
+use super::stored;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
@@ -265,8 +266,7 @@ struct Both<'a> {
 impl Both<'_> {
     /// Whether a patch lies in an active cell.
     fn touch(&self) -> bool {
-        let mut cells = self.clip.coupling().cells();
-        cells.any(|(cell, _)| self.liquid.active[cell])
+        stored::touches(self.clip.coupling(), self.liquid)
     }
 
     /// J v of the cells over dx^2, m/s, 0 in inactive cells; and the same with magnitudes.
