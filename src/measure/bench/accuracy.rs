@@ -177,27 +177,20 @@ impl Options {
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
-    let solvers = (
-        &options.precisions,
-        &options.preconditioners,
-        &options.formulations,
-        &options.tolerances,
-        options.max_iterations,
-    );
+    let Options { precisions, preconditioners, formulations, tolerances, max_iterations, .. } = options;
+    let solvers = (precisions, preconditioners, formulations, tolerances, max_iterations);
     let mut run = Run::start(bench(), machine, &(hashes(&options.scenes), solvers), settings, listener)?;
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
-            cases.push(Case::new("accuracy", row! { scene: scene.name.as_str(), frame: frame }, move |run| {
-                states::measure(run, scene, frame, options)
-            }));
+            let key = row! { scene: scene.name.as_str(), frame: frame };
+            cases.push(Case::new("accuracy", key, move |run| states::measure(run, scene, frame, options)));
         }
     }
     for &(_, problem) in Exact::NAMES {
         for &grid in &options.grids {
-            cases.push(Case::new("accuracy_grids", row! { problem: problem.name(), grid: grid }, move |run| {
-                grids::measure(run, problem, grid, options)
-            }));
+            let key = row! { problem: problem.name(), grid: grid };
+            cases.push(Case::new("accuracy_grids", key, move |run| grids::measure(run, problem, grid, options)));
         }
     }
     run.cases(cases)?;

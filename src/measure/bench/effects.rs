@@ -95,9 +95,8 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     let mut run = Run::start(bench, machine, &(hashes(&options.scenes), options.frames), settings, listener)?;
     let scratch = Scratch::new(&settings.out)?;
     let cases = options.scenes.iter().map(|scene| {
-        Case::new("effects", row! { scene: scene.name.as_str(), effect: ITSELF }, |_| {
-            scene_rows(scene, options, &scratch)
-        })
+        let key = row! { scene: scene.name.as_str(), effect: ITSELF };
+        Case::new("effects", key, |_| scene_rows(scene, options, &scratch))
     });
     run.cases(cases.collect())?;
     let failed = run.results.rows("effects").iter().filter(|row| row.text("effect") == ABSENT && costs(row));

@@ -197,16 +197,11 @@ impl<'a> Run<'a> {
         listener: Listener<'a>,
     ) -> Result<Run<'a>, Error> {
         let request = format!("{request:?}, {} repeats, {} s", settings.repeats, settings.seconds);
+        let tables = bench.tables.clone();
         let mut run = Run {
             _lock: FolderLock::take(&settings.out)?,
             settings: settings.clone(),
-            results: Results {
-                machine,
-                tables: bench.tables.clone(),
-                failures: Vec::new(),
-                parts: Vec::new(),
-                request,
-            },
+            results: Results { machine, request, parts: Vec::new(), tables, failures: Vec::new() },
             bench,
             listener,
             last_message: Instant::now(),
