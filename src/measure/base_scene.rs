@@ -1,20 +1,16 @@
 //! The base scene on a device: both systems and J between them, for benches and tests of coupled solvers.
 
-use std::sync::Arc;
-
 use crate::Error;
 use crate::elastic::Bounds;
 use crate::fields::{
     CouplingBuffers, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers, SolverBuffers, variant,
 };
-use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
+use crate::gpu::{Buffer, Dispatches, Gpu, Recorder};
 use crate::grid::{Axis, Grid};
-use crate::linalg::norm;
+use crate::reference::CoupledSystem;
 use crate::reference::base_block::{BaseBlock, DENSITY, THETA_FLOOR};
 use crate::reference::base_scene::BaseScene;
-use crate::reference::{ActiveCells, BlockPattern, CoupledSystem, RightHandSide, Stencil};
 use crate::scene::Solver;
-use crate::sim::{SolidSnapshot, StoredPressure, coupled_system, stored_coupling};
 use crate::solver::{CoupledFields, CoupledOutcome, CoupledSolver, Polynomial, SolidSystem};
 use crate::stages::{Everywhere, PressureSystem, element_rotations};
 use crate::state::State;
@@ -57,11 +53,8 @@ pub struct DeviceScene<'a> {
 pub(super) fn block_fields(gpu: &Gpu, block: &BaseBlock, open: &[Vec<f64>; 3]) -> Result<[Buffer<f32>; 3], Error> {
     let (grid, padded) = (block.grid, block.grid.padded());
     let faces = |label, fields: &[Vec<f64>; 3]| {
-        let values = Axis::ALL.iter().flat_map(|&axis| {
-            let field = &fields[axis.index()];
-            padded.pad(grid.faces(axis), field, |value| value as f32)
-        });
-        gpu.buffer_with(label, &values.collect::<Vec<f32>>())
+        let values = Axis::ALL.map(|axis| padded.pad(grid.faces(axis), &fields[axis.index()], |value| value as f32));
+        gpu.buffer_with(label, &values.concat())
     };
     let distance = padded.pad(grid.cells, &block.liquid_distance, |value| value as f32);
     Ok([
@@ -102,19 +95,16 @@ impl<'a> DeviceScene<'a> {
             real: variant(gpu.has_f64(), solver.precision).real,
         };
         let fields = SolidBuffers::new(gpu, plan, &scene.solids)?;
-        let rows = SolidRows::new(&scene.solids)?;
-        let solids = SolidSystemBuffers::new(gpu, &rows, solver)?;
+        let solids = SolidSystemBuffers::new(gpu, &SolidRows::new(&scene.solids)?, solver)?;
         // v* of the scene includes gravity.
-        let step = fields.step_of(glam::DVec3::ZERO, scene.dt);
-        gpu.upload(&fields.step, &[step]);
+        gpu.upload(&fields.step, &[fields.step_of(glam::DVec3::ZERO, scene.dt)]);
         let area = grid.dx * grid.dx;
-        let pairs: Vec<Pair> = (system.coupling.pairs().iter())
-            .map(|pair| Pair {
-                cell: padded.index(grid.cell_at(pair.cell)),
-                node: pair.node,
-                value: (pair.value / area).as_vec3().to_array(),
-            })
-            .collect();
+        let pairs = system.coupling.pairs().iter().map(|pair| Pair {
+            cell: padded.index(grid.cell_at(pair.cell)),
+            node: pair.node,
+            value: (pair.value / area).as_vec3().to_array(),
+        });
+        let pairs: Vec<Pair> = pairs.collect();
         let size = CouplingSize { quads: pairs.len(), pairs: pairs.len() };
         let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size)?;
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
@@ -179,9 +169,8 @@ impl<'a> DeviceScene<'a> {
     /// Records the set-up of both systems.
     pub fn record_systems(&self) -> Recorder {
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage(Stage::ActiveCells.name(), |pass| {
-            self.pressure.record(pass, &self.liquid, self.everywhere.within())
-        });
+        let within = self.everywhere.within();
+        recorder.stage(Stage::ActiveCells.name(), |pass| self.pressure.record(pass, &self.liquid, within));
         recorder.stage(Stage::SolidMatrices.name(), |pass| {
             self.rotations.record_in(pass);
             self.system.record_matrices(pass);
@@ -192,45 +181,13 @@ impl<'a> DeviceScene<'a> {
     }
 
     /// Sets both systems up and solves them.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn solve(&self) -> Result<CoupledOutcome, Error> {
         let (recorder, fields) = (self.record_systems(), self.fields());
         let (outcome, _) = self.solver.solve(self.gpu, recorder, fields, &self.polynomial, false)?;
         Ok(outcome)
     }
 
-    /// The system as stored on the device after its set-up. `scene`: that of [`DeviceScene::new`].
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
-    pub fn stored(&self, scene: &BaseScene) -> Result<CoupledSystem, Error> {
-        let grid = &self.grid;
-        let prescribed = &scene.solids.prescribed;
-        let snapshot = SolidSnapshot::read(self.gpu, &self.fields, &self.solids, prescribed)?;
-        let solids = snapshot.on_device(&scene.solids);
-        let pattern = Arc::new(BlockPattern::new(&solids));
-        let solid = snapshot.system(&solids, &pattern, f64::from(self.dt as f32));
-        let (clip, pressure) = (scene.clip(), StoredPressure::read(self.gpu, grid, &self.liquid)?);
-        let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, DENSITY, self.dt);
-        let stencil = Stencil::new(*grid, pressure.weight, pressure.dirichlet);
-        let mut active = ActiveCells::new(stencil);
-        active.seal(&coupling, prescribed);
-        // As uploaded: a solve subtracts J v.
-        let area = grid.dx * grid.dx;
-        let values = grid.padded().unpad(grid.cells, &self.rhs, |b| match self.liquid.rhs.real {
-            Real::F32 => area * f64::from(b as f32),
-            Real::F64 => area * b,
-        });
-        let rhs = RightHandSide { scale: norm(&values), values };
-        Ok(coupled_system((active, &[]), rhs, solid, &coupling, density))
-    }
-
     /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn answer(&self) -> Result<(Vec<f64>, Vec<[f64; 3]>), Error> {
         let grid = &self.grid;
         let potential = self.liquid.potential.download(self.gpu)?;

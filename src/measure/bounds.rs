@@ -65,8 +65,7 @@ pub fn maccormack_error(
 /// Errors of a level (cells) after the first order of its transport and after the correction, where the limit decides alike. `carried`: after the
 /// first order. A level is a distance with three roundings; the rest as in [`maccormack_error`].
 pub fn level_error(grid: &Grid, velocity: &[Vec<f64>; 3], level: &[f64], carried: &[f64], dt: f64) -> [f64; 2] {
-    let values = level.iter().chain(carried);
-    let largest = values.fold(0.0, |most, phi| f64::max(most, phi.abs()));
+    let largest = level.iter().chain(carried).fold(0.0, |most, phi| f64::max(most, phi.abs()));
     let given = 3.0 * EPS * largest;
     let end = end_error(grid, velocity, 0.0, dt);
     let sample = |of: &[f64]| sample_error(largest, steepest_of(grid.cells, of), end);
@@ -128,8 +127,7 @@ impl<'a> MarkerError<'a> {
         let weight = surface.radius / grid.dx * (rounded + 3.0 * self.steep * position);
         let sample = |position: f64| sample_error(self.speed, self.slope, position);
         let error_at = |x: DVec3, position: f64| {
-            let below = grid.velocity_at(velocity, x - layer.up);
-            let difference = (grid.velocity_at(velocity, x) - below).length();
+            let difference = (grid.velocity_at(velocity, x) - grid.velocity_at(velocity, x - layer.up)).length();
             let error = layer.ahead * (sample(position) + sample(position + direction)) + weight * difference;
             let least = layer.ahead * difference - error;
             sample(position) + error * (layer.most / least.max(layer.most)) + 6.0 * EPS * layer.most
@@ -158,8 +156,7 @@ fn sample_error(speed: f64, slope: f64, position: f64) -> f64 {
 
 /// Largest difference between neighbouring faces of an axis, m/s.
 fn steepest(grid: &Grid, velocity: &[Vec<f64>; 3]) -> f64 {
-    let slopes = Axis::ALL.map(|axis| steepest_of(grid.faces(axis), &velocity[axis.index()]));
-    slopes.into_iter().fold(0.0, f64::max)
+    Axis::ALL.map(|axis| steepest_of(grid.faces(axis), &velocity[axis.index()])).into_iter().fold(0.0, f64::max)
 }
 
 /// Largest difference between neighbours of a lattice of n values per axis.

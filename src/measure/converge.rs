@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::probe_statistics::Statistics;
-use super::sweep::{Status, Sweep};
+use super::sweep::{Row, Status, Sweep};
+use super::{cell, write_csv, write_json};
 use crate::Error;
 use crate::output::plot::{Chart, Run, write_page};
-use crate::output::write_atomically;
-use crate::scene::{Scene, SolidMesh, names};
+use crate::scene::{Scene, Solid, SolidMesh, names};
 
 /// Statistics of a probe that are studied, with their places in [`Statistics::numbers`].
 const QUANTITIES: [(&str, usize); 4] = [("least", 0), ("largest", 2), ("mean", 4), ("last", 5)];
@@ -85,17 +85,12 @@ impl Convergence {
         }
         for _ in 0..100 {
             let middle = 0.5 * (low + high);
-            match quotient(middle) < observed {
-                true => low = middle,
-                false => high = middle,
-            }
+            if quotient(middle) < observed { low = middle } else { high = middle }
         }
         let order = 0.5 * (low + high);
-        if order < *PLAUSIBLE.start() {
-            return without(Verdict::TooSlow, Some(order));
-        }
-        if order > *PLAUSIBLE.end() {
-            return without(Verdict::TooFast, Some(order));
+        if !PLAUSIBLE.contains(&order) {
+            let slow = order < *PLAUSIBLE.start();
+            return without(if slow { Verdict::TooSlow } else { Verdict::TooFast }, Some(order));
         }
         let gain = (order * (h[1] / h[2]).ln()).exp_m1();
         Convergence { verdict: Verdict::Converges, order: Some(order), estimate: Some(f[2] - fine / gain) }
@@ -144,20 +139,14 @@ impl Study {
         let cell_sizes: Vec<f64> = runs.clone().filter_map(|run| run.cell_size()).collect();
         let mut quantities = Vec::new();
         for (probe, unit) in sweep.probes() {
-            let of_run = |row: &super::sweep::Row| {
-                let found = row.probes.iter().find(|(name, _)| *name == probe);
-                found.map(|(_, statistics)| *statistics)
-            };
-            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>() else {
-                continue;
-            };
+            let of_run = |row: &Row| row.statistics(&probe);
+            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>() else { continue };
             for (quantity, place) in QUANTITIES {
                 let values: Vec<f64> = statistics.iter().map(|all| all.numbers()[place]).collect();
-                let finest = values.len() - 3;
-                let last = |list: &[f64]| std::array::from_fn(|n| list[finest + n]);
-                let convergence = Convergence::new(last(&cell_sizes), last(&values));
-                let error =
-                    convergence.estimate.map(|estimate| (values[values.len() - 1] - estimate).abs() / estimate.abs());
+                let finest = |list: &[f64]| *list.last_chunk().expect("a study has three scales or more");
+                let (h, f) = (finest(&cell_sizes), finest(&values));
+                let convergence = Convergence::new(h, f);
+                let error = convergence.estimate.map(|estimate| (f[2] - estimate).abs() / estimate.abs());
                 quantities.push(Quantity {
                     probe: probe.clone(),
                     unit,
@@ -178,31 +167,21 @@ impl Study {
     }
 
     /// Writes convergence.csv, convergence.json and convergence.svg; the files.
-    ///
-    /// # Errors
-    /// [`Error::Output`].
     pub fn write(&self, out: &Path) -> Result<Vec<PathBuf>, Error> {
-        let csv_path = out.join("convergence.csv");
-        let failed = |problem: csv::Error| Error::output(&csv_path, problem);
-        let mut table = csv::Writer::from_writer(Vec::new());
         let scales = self.scales.iter().map(|scale| format!("scale={scale}"));
-        let heads = ["probe", "unit", "quantity"].map(str::to_owned).into_iter();
+        let names = ["probe", "unit", "quantity"].map(str::to_owned).into_iter();
         let ends = ["order", "estimate", "error", "verdict"].map(str::to_owned);
-        table.write_record(heads.chain(scales).chain(ends)).map_err(failed)?;
-        let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:?}"));
-        for row in &self.quantities {
-            let heads = [&row.probe, row.unit, row.quantity].map(str::to_owned).into_iter();
-            let values = row.values.iter().map(|&value| number(Some(value)));
+        let heads = names.chain(scales).chain(ends).collect();
+        let records = self.quantities.iter().map(|row| {
+            let names = [&row.probe, row.unit, row.quantity].map(str::to_owned).into_iter();
+            let values = row.values.iter().map(|&value| cell(Some(value)));
             let Convergence { verdict, order, estimate } = row.convergence;
-            let ends = [number(order), number(estimate), number(row.error), verdict.name().to_owned()];
-            table.write_record(heads.chain(values).chain(ends)).map_err(failed)?;
-        }
-        let bytes = table.into_inner().map_err(|problem| Error::output(&csv_path, problem))?;
-        write_atomically(&csv_path, &bytes)?;
-        let json_path = out.join("convergence.json");
-        let text = serde_json::to_vec_pretty(self).map_err(|problem| Error::output(&json_path, problem))?;
-        write_atomically(&json_path, &text)?;
-        let mut files = vec![csv_path, json_path];
+            let ends = [cell(order), cell(estimate), cell(row.error), verdict.name().to_owned()];
+            names.chain(values).chain(ends).collect()
+        });
+        let mut files = ["convergence.csv", "convergence.json"].map(|name| out.join(name)).to_vec();
+        write_csv(&files[0], std::iter::once(heads).chain(records))?;
+        write_json(&files[1], self)?;
         let pages: Vec<(Chart, [Run; 1])> = self.charts().collect();
         if !pages.is_empty() {
             let charts: Vec<(&Chart, &[Run])> = pages.iter().map(|(chart, runs)| (chart, &runs[..])).collect();
@@ -214,12 +193,10 @@ impl Study {
     /// A chart of each probe: its quantities over the cell size, with the estimates at 0.
     fn charts(&self) -> impl Iterator<Item = (Chart, [Run; 1])> + '_ {
         self.quantities.chunk_by(|a, b| a.probe == b.probe).map(|rows| {
-            let mut times = self.cell_sizes.clone();
-            times.push(0.0);
+            let times = self.cell_sizes.iter().copied().chain([0.0]).collect();
             let columns = rows.iter().map(|row| {
-                let values = row.values.iter().copied().map(Some);
-                let values = values.chain([row.convergence.estimate]).collect();
-                (row.quantity.to_owned(), values)
+                let values = row.values.iter().copied().map(Some).chain([row.convergence.estimate]);
+                (row.quantity.to_owned(), values.collect())
             });
             let run = Run { name: String::new(), times, columns: columns.collect() };
             let chart = Chart {
@@ -252,8 +229,7 @@ pub fn refined(
     refined: Refined,
 ) -> Result<impl Fn(f64) -> Vec<String> + use<>, Error> {
     let Refined { steps, elements } = refined;
-    let time = scene.time.clone();
-    let slab = scene.domain.slab;
+    let (time, slab) = (scene.time.clone(), scene.domain.slab);
     if steps && time.fixed_step.is_none() && time.max_step.is_none() {
         return Err(Error::input(
             "--steps",
@@ -272,8 +248,8 @@ pub fn refined(
         if scene.solids.is_empty() {
             return Err(Error::input("--elements", "the scene has no [[solid]]", "leave it away"));
         }
-        let file = |mesh: &SolidMesh| matches!(mesh, SolidMesh::File { .. });
-        if let Some(number) = scene.solids.iter().position(|solid| file(&solid.mesh)) {
+        let from_file = |solid: &Solid| matches!(solid.mesh, SolidMesh::File { .. });
+        if let Some(number) = scene.solids.iter().position(from_file) {
             return Err(Error::input(
                 scene.at(&format!("solid[{number}].mesh")),
                 "the tetrahedra of a file cannot be refined by --elements",
@@ -293,8 +269,8 @@ pub fn refined(
             all.extend(present.map(|(key, step)| format!("time.{key}={:?}", step / scale)));
         }
         for (name, mesh) in meshes.iter().filter(|_| elements) {
-            let key = format!("solid.{name}.mesh");
-            all.push(match mesh {
+            let size = |kind, cell_size| format!("{kind}.cell_size={:?}", cell_size / scale);
+            let length = match mesh {
                 SolidMesh::Box { cells, .. } => {
                     let mut bricks = cells.map(|n| (n as f64 * scale).round().max(1.0));
                     // Nothing varies across a slab.
@@ -302,19 +278,14 @@ pub fn refined(
                         bricks[slab.axis] = cells[slab.axis] as f64;
                     }
                     let [x, y, z] = bricks;
-                    format!("{key}.box.cells=[{x}, {y}, {z}]")
+                    format!("box.cells=[{x}, {y}, {z}]")
                 }
-                SolidMesh::Sphere { cell_size, .. } => {
-                    format!("{key}.sphere.cell_size={:?}", cell_size / scale)
-                }
-                SolidMesh::Shell { cell_size, .. } => {
-                    format!("{key}.shell.cell_size={:?}", cell_size / scale)
-                }
-                SolidMesh::Surface { cell_size, .. } => {
-                    format!("{key}.surface.cell_size={:?}", cell_size / scale)
-                }
+                SolidMesh::Sphere { cell_size, .. } => size("sphere", cell_size),
+                SolidMesh::Shell { cell_size, .. } => size("shell", cell_size),
+                SolidMesh::Surface { cell_size, .. } => size("surface", cell_size),
                 SolidMesh::File { .. } => continue,
-            });
+            };
+            all.push(format!("solid.{name}.mesh.{length}"));
         }
         all
     })

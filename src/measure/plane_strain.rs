@@ -178,8 +178,7 @@ poisson = {:?}
             wall(0.0),
             wall(thickness),
         );
-        let file = format!("section_6_4_{cells}.toml");
-        let mut scene = Scene::parse(file.as_ref(), &text, &[], 1.0)?;
+        let mut scene = Scene::parse(format!("section_6_4_{cells}.toml").as_ref(), &text, &[], 1.0)?;
         let mesh = TetMesh::new(&scene.solids[0], "section 6.4")?;
         scene.solids[0].loads = self.loads(&mesh, dx);
         scene.solver = solver;
@@ -227,8 +226,7 @@ poisson = {:?}
             }
         }
         let near = DVec3::splat(0.01 * dx);
-        let loaded = mesh.nodes.iter().zip(forces);
-        let loaded = loaded.filter(|(_, force)| *force != DVec3::ZERO);
+        let loaded = mesh.nodes.iter().zip(forces).filter(|(_, force)| *force != DVec3::ZERO);
         loaded
             .map(|(&x, force)| Load {
                 region: Shape::Box { min: x - near, max: x + near },

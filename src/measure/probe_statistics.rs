@@ -64,8 +64,7 @@ impl Statistics {
             return Ok(Vec::new());
         }
         let table = Run::read(&path, String::new())?;
-        let columns = table.columns.iter();
-        let probes = columns.filter(|(name, _)| name != "step" && name != "t");
+        let probes = table.columns.iter().filter(|(name, _)| name != "step" && name != "t");
         let of =
             |(name, values): &(String, Vec<Option<f64>>)| Some((name.clone(), Statistics::of(&table.times, values)?));
         Ok(probes.filter_map(of).collect())

@@ -4,23 +4,28 @@ use std::sync::Arc;
 
 use crate::elastic::Solids;
 use crate::geometry::Coupling;
-use crate::reference::{BlockPattern, CoupledSystem, PressureSystem, SolidSystem, right_hand_side};
+use crate::reference::{
+    ActiveCells, BlockPattern, CoupledSystem, PressureSystem, RightHandSide, SolidSystem, right_hand_side,
+};
 use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot, coupled_system, stored_coupling};
 
 /// The system of the pressure in SI units.
 pub(super) fn pressure_system(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt: f64) -> PressureSystem {
-    let grid = path.grid();
-    let area = grid.dx * grid.dx;
-    let active = liquid.active_cells(grid);
-    let open = &path.cut_cells().open;
-    let mut rhs = right_hand_side(grid, open, &liquid.velocity_next, &active, None);
-    rhs.values = liquid.rhs.iter().map(|b| area * b).collect();
+    let active = liquid.active_cells(path.grid());
+    let rhs = inflow_of(path, liquid, &active, &liquid.rhs);
     let mut system = PressureSystem::new(active, rhs, dt, density);
     let mut values = std::mem::take(&mut system.rhs);
     // Remainders of rounding to f32 on devices without f64.
     system.remove_closed_means(&mut values);
     system.rhs = values;
     system
+}
+
+/// E u* in m^3/s, from values in m/s.
+fn inflow_of(path: &GpuPath, liquid: &LiquidSnapshot, active: &ActiveCells, values: &[f64]) -> RightHandSide {
+    let grid = path.grid();
+    let rhs = right_hand_side(grid, &path.cut_cells().open, &liquid.velocity_next, active, None);
+    RightHandSide { values: values.iter().map(|b| grid.dx * grid.dx * b).collect(), ..rhs }
 }
 
 /// Pressures computed by the device, Pa. If liquid and solids touch: the pressures on the nodes, with a factor in f32.
@@ -33,20 +38,17 @@ pub(super) fn pressure(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt
         }
         None => density * grid.dx / dt,
     };
-    let potential = liquid.potential.iter();
-    potential.map(|phi| pascal * phi).collect()
+    liquid.potential.iter().map(|phi| pascal * phi).collect()
 }
 
 /// Whether a patch lies in a cell that is an unknown.
-fn touches(coupling: &Coupling, liquid: &LiquidSnapshot) -> bool {
-    let mut joined = coupling.cells();
-    joined.any(|(cell, _)| liquid.active[cell])
+pub(super) fn touches(coupling: &Coupling, liquid: &LiquidSnapshot) -> bool {
+    coupling.cells().any(|(cell, _)| liquid.active[cell])
 }
 
 /// The system of the solids, and the solids as stored on the device.
 pub(super) fn solid_system(path: &GpuPath, solids: &SolidSnapshot, dt: f64) -> (SolidSystem, Solids) {
-    let at_rest = path.solids().expect("the snapshot has solids");
-    let all = solids.on_device(at_rest);
+    let all = solids.on_device(path.solids().expect("the snapshot has solids"));
     let pattern = Arc::new(BlockPattern::new(&all));
     // The device stores it in f32.
     let system = solids.system(&all, &pattern, f64::from(dt as f32));
@@ -71,10 +73,7 @@ pub(super) fn system_of_both(
     if !touches(&coupling, liquid) {
         return None;
     }
-    let open = &path.cut_cells().open;
-    let mut rhs = right_hand_side(grid, open, &liquid.velocity_next, &active, None);
-    rhs.values = inflow.iter().map(|b| grid.dx * grid.dx * b).collect();
+    let rhs = inflow_of(path, liquid, &active, inflow);
     let (solid, all) = solid_system(path, solids, dt);
-    let active = (active, &*liquid.separated);
-    Some((coupled_system(active, rhs, solid, &coupling, density), all))
+    Some((coupled_system((active, &*liquid.separated), rhs, solid, &coupling, density), all))
 }

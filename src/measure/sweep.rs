@@ -1,19 +1,19 @@
 //! Sweeps: a run for every combination of values of some keys of a scene. Each has its own folder, and a table summarises the folders.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::{Mutex, MutexGuard};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::probe_statistics::Statistics;
+use super::{cell, write_csv, write_json};
 use crate::Error;
 use crate::output::manifest::{Manifest, RunStatus};
-use crate::output::write_atomically;
 use crate::scene::{Scene, names, override_option};
 
 /// Most runs of a sweep: a folder each.
@@ -46,8 +46,7 @@ impl FromStr for Axis {
     fn from_str(text: &str) -> Result<Axis, Error> {
         let refused = |problem: String, cure| Error::input(format!("--set {text}"), problem, cure);
         let cure = "write --set KEY=V1,V2, such as --set liquid.density=800,1000";
-        let parts = text.split_once('=');
-        let (key, list) = parts.ok_or_else(|| refused("has no `=`".into(), cure))?;
+        let (key, list) = text.split_once('=').ok_or_else(|| refused("has no `=`".into(), cure))?;
         let values = split(list).ok_or_else(|| {
             let problem = format!("the brackets or quotes of `{list}` do not match");
             refused(problem, "close them, within single quotes for the shell")
@@ -57,8 +56,7 @@ impl FromStr for Axis {
         }
         let mut seen = BTreeSet::new();
         if let Some(twice) = values.iter().find(|value| !seen.insert(value.as_str())) {
-            let problem = format!("has the value {twice} twice");
-            return Err(refused(problem, "give each value once"));
+            return Err(refused(format!("has the value {twice} twice"), "give each value once"));
         }
         Ok(Axis { key: key.trim().to_owned(), values })
     }
@@ -103,10 +101,10 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Shard, String> {
-        let shard = text
-            .split_once('/')
-            .and_then(|(index, count)| Some(Shard { index: index.parse().ok()?, count: count.parse().ok()? }));
-        shard
+        let numbers =
+            |(index, count): (&str, &str)| Some(Shard { index: index.parse().ok()?, count: count.parse().ok()? });
+        text.split_once('/')
+            .and_then(numbers)
             .filter(|shard| (1..=shard.count).contains(&shard.index))
             .ok_or_else(|| "write I/N with I from 1 to N, such as 1/4 to 4/4".to_owned())
     }
@@ -127,6 +125,8 @@ pub struct Run {
     pub scale: f64,
     /// Properties of the scene with these overrides, or its error.
     scene: Result<Checked, Error>,
+    /// Row of a finished run, which does not change.
+    finished: OnceLock<Row>,
 }
 
 /// Properties of a scene that was read.
@@ -143,10 +143,9 @@ struct Checked {
 
 impl Run {
     /// Reads the scene; nothing is written.
-    fn new(name: &str, values: Vec<String>, overrides: Vec<String>, scale: f64, options: &Options) -> Run {
+    fn new(name: &str, values: Vec<String>, mut overrides: Vec<String>, scale: f64, options: &Options) -> Run {
         let name = folder_name(name);
         // As the command line of a run has them, whose hash depends on their order.
-        let mut overrides = overrides;
         overrides.sort_by_key(|setting| override_option(setting)[0] == "--without");
         let scene = Scene::load(&options.scene, &overrides, scale);
         Run {
@@ -155,15 +154,11 @@ impl Run {
             values,
             overrides,
             scale,
+            finished: OnceLock::new(),
             scene: scene.map(|scene| Checked {
                 frames: options.frames.unwrap_or_else(|| scene.n_frames()),
-                probes: scene
-                    .probes
-                    .iter()
-                    .flat_map(|probe| {
-                        let units = probe.units().iter().copied();
-                        probe.columns().into_iter().zip(units).collect::<Vec<_>>()
-                    })
+                probes: (scene.probes.iter())
+                    .flat_map(|probe| probe.columns().into_iter().zip(probe.units().iter().copied()))
                     .collect(),
                 cell_size: scene.grid().dx,
                 hash: scene.hash,
@@ -269,8 +264,6 @@ pub struct Sweep {
     options: Options,
     /// Runs of all shards.
     pub runs: Vec<Run>,
-    /// Rows of finished runs, which do not change.
-    finished: Mutex<BTreeMap<usize, Row>>,
 }
 
 impl Sweep {
@@ -287,37 +280,28 @@ impl Sweep {
                 "give all values of a key in one --set, with commas between them",
             ));
         }
-        let count = axes
-            .iter()
-            .try_fold(1usize, |count, axis| count.checked_mul(axis.values.len()))
-            .filter(|&count| count <= MAX_RUNS);
-        let Some(count) = count else {
+        let count = axes.iter().try_fold(1usize, |count, axis| count.checked_mul(axis.values.len()));
+        if count.is_none_or(|count| count > MAX_RUNS) {
             return Err(Error::input(
                 "--set",
                 format!("the settings make more than {MAX_RUNS} runs"),
                 "give fewer values, or split them into several sweeps",
             ));
-        };
-        let labels = labels(&axes);
-        let mut runs = Vec::with_capacity(count);
-        for number in 0..count {
-            let mut rest = number;
-            let mut picks = vec![0; axes.len()];
-            for (pick, axis) in picks.iter_mut().zip(&axes).rev() {
-                (*pick, rest) = (rest % axis.values.len(), rest / axis.values.len());
-            }
-            let values = axes.iter().zip(&picks);
-            let values: Vec<String> = values.map(|(axis, &at)| axis.values[at].clone()).collect();
-            let overrides = axes.iter().zip(&values);
-            let overrides: Vec<String> = overrides
-                .map(|(axis, value)| format!("{}={value}", axis.key))
-                .chain(options.without.iter().cloned())
-                .collect();
-            let parts = labels.iter().zip(&picks);
-            let parts: Vec<&str> = parts.map(|(label, &at)| label[at].as_str()).collect();
-            let name = parts.join("_");
-            runs.push(Run::new(&name, values, overrides, options.scale, &options));
         }
+        let mut picks = vec![Vec::new()];
+        for axis in &axes {
+            let with_each = |pick: &Vec<usize>| (0..axis.values.len()).map(|at| [&pick[..], &[at]].concat()).collect();
+            picks = picks.iter().flat_map::<Vec<_>, _>(with_each).collect();
+        }
+        let labels = labels(&axes);
+        let runs = picks.iter().map(|pick| {
+            let values: Vec<String> = axes.iter().zip(pick).map(|(axis, &at)| axis.values[at].clone()).collect();
+            let set = axes.iter().zip(&values).map(|(axis, value)| format!("{}={value}", axis.key));
+            let overrides = set.chain(options.without.iter().cloned()).collect();
+            let parts: Vec<&str> = labels.iter().zip(pick).map(|(label, &at)| label[at].as_str()).collect();
+            Run::new(&parts.join("_"), values, overrides, options.scale, &options)
+        });
+        let runs = runs.collect();
         Sweep::of_runs(axes, runs, options)
     }
 
@@ -328,9 +312,7 @@ impl Sweep {
     pub fn of_scales(scales: &[f64], settings: impl Fn(f64) -> Vec<String>, options: Options) -> Result<Sweep, Error> {
         let axis = Axis { key: "scale".to_owned(), values: scales.iter().map(f64::to_string).collect() };
         let runs = scales.iter().zip(&axis.values).map(|(&scale, value)| {
-            let values = vec![value.clone()];
-            let name = format!("scale={value}");
-            Run::new(&name, values, settings(scale), scale, &options)
+            Run::new(&format!("scale={value}"), vec![value.clone()], settings(scale), scale, &options)
         });
         let runs = runs.collect();
         Sweep::of_runs(vec![axis], runs, options)
@@ -342,29 +324,22 @@ impl Sweep {
         {
             return Err(error);
         }
-        Ok(Sweep { axes, options, runs, finished: Mutex::default() })
+        Ok(Sweep { axes, options, runs })
     }
 
     /// Indices of the runs of a shard.
     pub fn shard_runs(&self, shard: Shard) -> Vec<usize> {
-        let first = shard.index - 1;
-        (first..self.runs.len()).step_by(shard.count).collect()
+        (shard.index - 1..self.runs.len()).step_by(shard.count).collect()
     }
 
     /// Row of a run.
     pub fn row(&self, number: usize) -> Row {
-        if let Some(row) = self.lock_finished().get(&number) {
-            return row.clone();
+        let run = &self.runs[number];
+        let row = run.finished.get().cloned().unwrap_or_else(|| self.read_row(run));
+        match row.status {
+            Status::Finished => run.finished.get_or_init(|| row).clone(),
+            _ => row,
         }
-        let row = self.read_row(&self.runs[number]);
-        if row.status == Status::Finished {
-            self.lock_finished().insert(number, row.clone());
-        }
-        row
-    }
-
-    fn lock_finished(&self) -> MutexGuard<'_, BTreeMap<usize, Row>> {
-        self.finished.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     fn read_row(&self, run: &Run) -> Row {
@@ -380,8 +355,8 @@ impl Sweep {
             }
         };
         let version = env!("CARGO_PKG_VERSION");
-        let record = fs::read(run.folder.join(RECORD)).ok();
-        let record: Option<Record> = record.and_then(|text| serde_json::from_slice(&text).ok());
+        let text = fs::read(run.folder.join(RECORD)).unwrap_or_default();
+        let record: Option<Record> = serde_json::from_slice(&text).ok();
         let record = record.filter(|record| record.scene_sha256 == *hash && record.cutwater == version);
         let manifest = Manifest::read(&run.folder).ok();
         let current = |manifest: &Manifest| {
@@ -420,9 +395,6 @@ impl Sweep {
 
     /// Locks a run for this process, or `None` if another has locked it. Creates its folder and removes the record of an earlier attempt. Closing the
     /// file and all its duplicates unlocks the run. Pass it on to the process of the run: that remains alone if this process is killed.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if the folder cannot be written.
     pub fn lock(&self, number: usize) -> Result<Option<File>, Error> {
         let folder = &self.runs[number].folder;
         let failed = |problem: std::io::Error| Error::unwritten(folder, &problem);
@@ -444,69 +416,35 @@ impl Sweep {
     }
 
     /// Records the end of a run: its exit code, or `None` if a signal ended it, and its error message.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if it cannot be written.
     pub fn record_end(&self, number: usize, exit_code: Option<i32>, problem: Option<String>) -> Result<(), Error> {
         let run = &self.runs[number];
-        let Ok(Checked { hash, .. }) = &run.scene else {
-            return Ok(());
-        };
+        let Ok(Checked { hash, .. }) = &run.scene else { return Ok(()) };
         let record =
             Record { cutwater: env!("CARGO_PKG_VERSION").to_owned(), scene_sha256: hash.clone(), exit_code, problem };
-        let path = run.folder.join(RECORD);
-        let text = serde_json::to_vec_pretty(&record).map_err(|problem| Error::output(&path, problem))?;
-        write_atomically(&path, &text)
+        write_json(&run.folder.join(RECORD), &record)
     }
 
     /// Writes summary.csv from the folders of all runs, also of other shards. A lock orders the processes, so that the last one writes it complete.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if it cannot be written.
     pub fn write_summary(&self) -> Result<(), Error> {
         let out = &self.options.out;
-        let path = out.join("summary.csv");
         fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;
         let turn = lock_of(out).map_err(|problem| Error::unwritten(out, &problem))?;
         // Without locks an older summary may remain; any later invocation corrects that.
         let _ = turn.lock();
-        let mut table = csv::Writer::from_writer(Vec::new());
-        let failed = |problem: csv::Error| Error::output(&path, problem);
         let keys = self.axes.iter().map(|axis| axis.key.clone());
         let probes = self.probes();
-        let statistics = probes.iter().flat_map(|(probe, _)| {
-            let names = Statistics::NAMES.into_iter();
-            names.map(move |name| format!("{probe}:{name}"))
-        });
-        let heads = keys.chain(COLUMNS.map(str::to_owned)).chain(statistics);
-        table.write_record(heads).map_err(failed)?;
-        for (number, run) in self.runs.iter().enumerate() {
+        let statistics = probes.iter().flat_map(|(probe, _)| Statistics::NAMES.map(|name| format!("{probe}:{name}")));
+        let heads = keys.chain(Row::default().cells("").map(|(name, _)| name.to_owned())).chain(statistics).collect();
+        let records = self.runs.iter().enumerate().map(|(number, run)| {
             let row = self.row(number);
-            let [least, largest] = [0, 1].map(|end| row.volume.map(|range| range[end]));
-            let fields = [
-                row.status.name().to_owned(),
-                text(row.exit_code),
-                text(row.frames),
-                text(row.sub_steps),
-                text(row.seconds),
-                text(row.worst_residual),
-                text(least),
-                text(largest),
-                text(row.missed),
-                text(row.squeezed),
-                run.name.clone(),
-                row.problem.clone().unwrap_or_default(),
-            ];
             let statistics = probes.iter().flat_map(|(probe, _)| {
-                let found = row.probes.iter().find(|(name, _)| name == probe);
-                let numbers = found.map(|(_, statistics)| statistics.numbers().map(Some));
-                numbers.unwrap_or_default().map(text)
+                let numbers = row.statistics(probe).map(|all| all.numbers().map(Some));
+                numbers.unwrap_or_default().map(cell)
             });
-            let fields = run.values.iter().cloned().chain(fields).chain(statistics);
-            table.write_record(fields).map_err(failed)?;
-        }
-        let bytes = table.into_inner().map_err(|problem| Error::output(&path, problem))?;
-        write_atomically(&path, &bytes)
+            let cells = row.cells(&run.name).map(|(_, cell)| cell);
+            run.values.iter().cloned().chain(cells).chain(statistics).collect()
+        });
+        write_csv(&out.join("summary.csv"), std::iter::once(heads).chain(records))
     }
 
     /// Columns of the probes of all runs and their units, in the order of the first run with each.
@@ -521,31 +459,37 @@ impl Sweep {
     }
 }
 
-/// Columns of summary.csv after the keys.
-const COLUMNS: [&str; 12] = [
-    "status",
-    "exit_code",
-    "frames",
-    "sub_steps",
-    "seconds",
-    "worst_residual",
-    "volume_least",
-    "volume_largest",
-    "missed",
-    "squeezed",
-    "folder",
-    "problem",
-];
+impl Row {
+    /// Columns of summary.csv after the keys, and their cells.
+    fn cells(&self, folder: &str) -> [(&'static str, String); 12] {
+        [
+            ("status", self.status.name().to_owned()),
+            ("exit_code", cell(self.exit_code)),
+            ("frames", cell(self.frames)),
+            ("sub_steps", cell(self.sub_steps)),
+            ("seconds", cell(self.seconds)),
+            ("worst_residual", cell(self.worst_residual)),
+            ("volume_least", cell(self.volume.map(|[least, _]| least))),
+            ("volume_largest", cell(self.volume.map(|[_, largest]| largest))),
+            ("missed", cell(self.missed)),
+            ("squeezed", cell(self.squeezed)),
+            ("folder", folder.to_owned()),
+            ("problem", self.problem.clone().unwrap_or_default()),
+        ]
+    }
+
+    /// Statistics of a column of the probes.
+    pub(super) fn statistics(&self, probe: &str) -> Option<Statistics> {
+        self.probes.iter().find(|(name, _)| name == probe).map(|(_, statistics)| *statistics)
+    }
+}
 
 /// Row of a run with a manifest.
 fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
     let progress = &manifest.progress;
     let (status, exit_code) = match progress.status {
         RunStatus::Finished => (Status::Finished, Some(0)),
-        RunStatus::Interrupted => {
-            let code = Error::Interrupted.exit_code();
-            (Status::Interrupted, Some(code.into()))
-        }
+        RunStatus::Interrupted => (Status::Interrupted, Some(Error::Interrupted.exit_code().into())),
         RunStatus::Failed => (Status::Failed, None),
         RunStatus::Running => (Status::BrokenOff, None),
     };
@@ -574,13 +518,8 @@ fn lock_of(folder: &Path) -> std::io::Result<File> {
     options.open(folder.join(LOCK))
 }
 
-fn text<T: std::fmt::Debug>(value: Option<T>) -> String {
-    value.map_or(String::new(), |value| format!("{value:?}"))
-}
-
 fn one_line(text: &str) -> String {
-    let lines: Vec<&str> = text.lines().map(str::trim).collect();
-    lines.join("; ")
+    text.lines().map(str::trim).collect::<Vec<_>>().join("; ")
 }
 
 /// `key=value` of every value of every axis, for file names: the shortest unique end of the key, and the value without brackets and quotes. A hash
@@ -621,6 +560,5 @@ fn folder_name(name: &str) -> String {
 }
 
 fn short_hash(text: &str) -> String {
-    let digest = Sha256::digest(text.as_bytes());
-    digest[..4].iter().map(|byte| format!("{byte:02x}")).collect()
+    Sha256::digest(text.as_bytes())[..4].iter().map(|byte| format!("{byte:02x}")).collect()
 }

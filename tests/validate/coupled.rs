@@ -1,17 +1,21 @@
 //! Cases of liquid and elastic solids together: the solve, mostly on the f64 path.
 
+use std::sync::Arc;
 use std::time::Instant;
 
+use cutwater::Error;
 use cutwater::geometry::{ObstacleCut, SolidClip};
-use cutwater::gpu::{AdapterChoice, Gpu};
-use cutwater::linalg::SymbolicCholesky;
+use cutwater::gpu::{AdapterChoice, Gpu, Real};
+use cutwater::linalg::{SymbolicCholesky, norm};
 use cutwater::measure::base_scene::DeviceScene;
+use cutwater::reference::base_block::DENSITY;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
-    CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, larger, solve_coupled,
+    ActiveCells, BlockPattern, CoupledSolution, CoupledSystem, Formulation, RightHandSide, SIGMA, SolidSolver, Stencil,
+    StressVariables, larger, solve_coupled,
 };
 use cutwater::scene::{Formulation as Form, Precision, Solver};
-use cutwater::sim::Simulation;
+use cutwater::sim::{Simulation, SolidSnapshot, StoredPressure, coupled_system, stored_coupling};
 use cutwater::state::SolveStatus;
 use glam::DVec3;
 
@@ -162,6 +166,27 @@ fn parameters(sheet: &mut Sheet) {
     }
 }
 
+/// The system of a base scene as stored on a device after its set-up.
+fn stored_system(gpu: &Gpu, device: &DeviceScene, base: &Base) -> Result<CoupledSystem, Error> {
+    let (grid, scene, fields) = (&device.grid, &base.scene, device.fields());
+    let prescribed = &scene.solids.prescribed;
+    let snapshot = SolidSnapshot::read(gpu, fields.fields, fields.solids, prescribed)?;
+    let solids = snapshot.on_device(&scene.solids);
+    let solid = snapshot.system(&solids, &Arc::new(BlockPattern::new(&solids)), f64::from(scene.dt as f32));
+    let (clip, pressure) = (scene.clip(), StoredPressure::read(gpu, grid, fields.liquid)?);
+    let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, DENSITY, scene.dt);
+    let mut active = ActiveCells::new(Stencil::new(*grid, pressure.weight, pressure.dirichlet));
+    active.seal(&coupling, prescribed);
+    // As uploaded: a solve subtracts J v.
+    let area = grid.dx * grid.dx;
+    let values = base.system.pressure.rhs.iter().map(|b| match fields.liquid.rhs.real {
+        Real::F32 => area * f64::from((b / area) as f32),
+        Real::F64 => area * (b / area),
+    });
+    let values: Vec<f64> = values.collect();
+    Ok(coupled_system((active, &[]), RightHandSide { scale: norm(&values), values }, solid, &coupling, density))
+}
+
 /// Solution of a device against the direct solve of the system that it stored, and that against the one assembled in f64, over stiffness,
 /// step, density and Poisson's ratio. `mixed` to a tolerance of 1e-10, which it has to reach; `f32` until rounding stops it.
 ///
@@ -214,7 +239,7 @@ fn stored(sheet: &mut Sheet) {
                 let mut of_device = exact.clone();
                 (of_device.pressure, of_device.velocity) = (pressure, velocity);
                 let stored = Base {
-                    system: device.stored(&assembled.scene).expect("the device works"),
+                    system: stored_system(&gpu, &device, &assembled).expect("the device works"),
                     solver: SolidSolver::new(&assembled.scene.solids),
                     scene: BaseScene::new(20, &beam).expect("the base scene has a beam"),
                 };

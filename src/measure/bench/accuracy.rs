@@ -13,7 +13,7 @@ mod states;
 
 use std::cmp::Ordering;
 
-use super::chart::{Chart, Page, at, lines};
+use super::chart::{Chart, Page, lines};
 use super::ended::is_solved;
 use super::statistics::grouped;
 use super::table::{Row, Table, columns, row};
@@ -22,7 +22,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::reference::larger;
-use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
+use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::state::{SolveReport, SolveStatus};
 
 pub use exact::{Exact, dam_release};
@@ -30,6 +30,12 @@ pub use exact::{Exact, dam_release};
 /// Relative residual of the exact solutions.
 const EXACT: f64 = 1e-13;
 const MOST_ITERATIONS: u32 = 20_000;
+
+/// Settings of the exact solutions.
+fn exact(solver: Solver) -> Solver {
+    Solver { precision: Precision::F64, tolerance: EXACT, max_iterations: MOST_ITERATIONS, ..solver }
+}
+
 /// Largest residual of an exact solution that did not converge. Forces of stiff solids cancel, so rounding in f64 can exceed [`EXACT`].
 const ROUNDED: f64 = 1e-10;
 /// Target errors with a recommendation, on states and on grids.
@@ -171,28 +177,20 @@ impl Options {
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
-    let solvers = (
-        &options.precisions,
-        &options.preconditioners,
-        &options.formulations,
-        &options.tolerances,
-        options.max_iterations,
-    );
-    let request = (hashes(&options.scenes), solvers);
-    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    let Options { precisions, preconditioners, formulations, tolerances, max_iterations, .. } = options;
+    let solvers = (precisions, preconditioners, formulations, tolerances, max_iterations);
+    let mut run = Run::start(bench(), machine, &(hashes(&options.scenes), solvers), settings, listener)?;
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
-            cases.push(Case::new("accuracy", row! { scene: scene.name.as_str(), frame: frame }, move |run| {
-                states::measure(run, scene, frame, options)
-            }));
+            let key = row! { scene: scene.name.as_str(), frame: frame };
+            cases.push(Case::new("accuracy", key, move |run| states::measure(run, scene, frame, options)));
         }
     }
     for &(_, problem) in Exact::NAMES {
         for &grid in &options.grids {
-            cases.push(Case::new("accuracy_grids", row! { problem: problem.name(), grid: grid }, move |run| {
-                grids::measure(run, problem, grid, options)
-            }));
+            let key = row! { problem: problem.name(), grid: grid };
+            cases.push(Case::new("accuracy_grids", key, move |run| grids::measure(run, problem, grid, options)));
         }
     }
     run.cases(cases)?;
@@ -206,9 +204,7 @@ pub fn ensure_truth(what: &str, step: u64, solves: impl IntoIterator<Item = Solv
         // A residual of NaN fails.
         !(passed || solve.residual <= ROUNDED)
     };
-    let Some(solve) = solves.into_iter().find(failed) else {
-        return Ok(());
-    };
+    let Some(solve) = solves.into_iter().find(failed) else { return Ok(()) };
     let (status, residual) = (solve.status.name(), solve.residual);
     Err(Error::Stage {
         stage: "solve",
@@ -232,17 +228,14 @@ fn better(a: &Row, b: &Row) -> Ordering {
 /// Rank of the precision.
 fn width(row: &Row) -> Option<usize> {
     let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(Precision::name);
-    let mut names = ascending.iter();
-    names.position(|name| *name == row.text("precision"))
+    ascending.iter().position(|name| *name == row.text("precision"))
 }
 
 /// Preferred row among the fastest: least seconds at most the largest of the row with the least median, and at most `AS_FAST` times that median.
 pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
-    let seconds = rows.iter().filter_map(|row| row.spread("seconds"));
-    let fastest = seconds.min_by(|a, b| a.median.total_cmp(&b.median))?;
+    let fastest = rows.iter().filter_map(|row| row.spread("seconds")).min_by(|a, b| a.median.total_cmp(&b.median))?;
     let most = fastest.max.min(AS_FAST * fastest.median);
-    let equal = rows.iter().filter(|row| row.number("seconds_min") <= most);
-    equal.min_by(|a, b| better(a, b)).copied()
+    rows.iter().filter(|row| row.number("seconds_min") <= most).min_by(|a, b| better(a, b)).copied()
 }
 
 /// Cheapest row for each of the descending targets that any row meets. The row of the next lower target is preferred if it needs no more time, cells and
@@ -250,11 +243,8 @@ pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
 pub fn recommended<'r>(rows: &[&'r Row], targets: &[f64], error: impl Fn(&Row) -> f64) -> Vec<(f64, &'r Row)> {
     let mut found: Vec<(f64, &Row)> = Vec::new();
     for &target in targets.iter().rev() {
-        let meeting = rows.iter().copied().filter(|row| error(row) <= target);
-        let meeting: Vec<&Row> = meeting.collect();
-        let Some(mut best) = cheapest(&meeting) else {
-            continue;
-        };
+        let meeting: Vec<&Row> = rows.iter().copied().filter(|row| error(row) <= target).collect();
+        let Some(mut best) = cheapest(&meeting) else { continue };
         if let Some(&(_, lower)) = found.last() {
             let needs = |row: &Row| (row.count("cells"), row.count("grid"));
             let no_more = needs(lower) <= needs(best) && width(lower) <= width(best);
@@ -270,9 +260,8 @@ pub fn recommended<'r>(rows: &[&'r Row], targets: &[f64], error: impl Fn(&Row) -
 
 /// The larger of both errors; NaN if one is.
 fn error(row: &Row) -> f64 {
-    let others = ["error_v", "error_u"].into_iter();
-    let others = others.filter(|name| row.has(name)).map(|name| row.number(name));
-    others.fold(row.number("error_p"), larger)
+    let others = ["error_v", "error_u"].into_iter().filter(|name| row.has(name));
+    others.map(|name| row.number(name)).fold(row.number("error_p"), larger)
 }
 
 /// Rows with the least time per target, and the loosest tolerances that do not increase the errors of the grids.
@@ -282,12 +271,10 @@ pub fn derive(tables: &mut [Table]) {
         ("accuracy", "accuracy_best", &["scene", "frame"][..], TARGETS[0]),
         (grids, "accuracy_grids_best", &["problem"], TARGETS[1]),
     ] {
-        let solved = rows(tables, table).iter();
-        let solved = solved.filter(|row| is_solved(row.text("status")));
+        let solved = rows(tables, table).iter().filter(|row| is_solved(row.text("status")));
         let groups = grouped(solved, |row| Some(row.only(key)));
         let found = groups.iter().flat_map(|(_, rows)| recommended(rows, targets, error));
-        let found = found.map(|(target, row)| row.clone().with(row! { target: target }));
-        let found = found.collect();
+        let found = found.map(|(target, row)| row.clone().with(row! { target: target })).collect();
         replace(tables, best, found);
     }
     let key = ["problem", "grid", "precision", "grid_error_p", "grid_error_u"];
@@ -300,13 +287,11 @@ pub fn derive(tables: &mut [Table]) {
             let small = small("error_p", "grid_error_p") && small("error_u", "grid_error_u");
             is_solved(row.text("status")) && row.has("error_p") && small
         };
-        let tolerance = |row: &Row| row.number("tolerance");
         let loosest = rows.iter().filter(within);
-        let loosest = loosest.max_by(|a, b| tolerance(a).total_cmp(&tolerance(b)));
+        let loosest = loosest.max_by(|a, b| a.number("tolerance").total_cmp(&b.number("tolerance")));
         loosest.map_or(grid, |row| (*row).clone())
     });
-    let enough = enough.collect();
-    replace(tables, "accuracy_grids_enough", enough);
+    replace(tables, "accuracy_grids_enough", enough.collect());
 }
 
 /// Charts of errors against seconds, one per error column and its axis.
@@ -314,7 +299,7 @@ fn charts(rows: &[&Row], title: &str, errors: &[(&str, &'static str)], name: imp
     let chart = |&(column, axis): &(&str, &'static str)| Chart {
         title: title.to_owned(),
         axes: ["seconds of the solve", axis],
-        lines: lines(rows.iter().copied(), &name, at(["seconds", column])),
+        lines: lines(rows.iter().copied(), &name, ["seconds", column]),
         falling: true,
     };
     errors.iter().map(chart).collect()
@@ -328,19 +313,14 @@ fn draw_states(results: &Results) -> Page {
         ("divergence", "divergence, 1/s"),
     ];
     let name = |row: &Row| row.join(&["precision", "preconditioner", "formulation"]);
-    let state = |row: &Row| (row.text("scene").to_owned(), row.count("frame"));
+    let state = |row: &Row| format!("{}, frame {}", row.text("scene"), row.count("frame"));
     let groups = grouped(results.rows("accuracy"), |row| Some(state(row)));
-    let drawn = groups
-        .iter()
-        .flat_map(|((scene, frame), rows)| charts(rows, &format!("{scene}, frame {frame}"), &errors, name));
-    Page::Charts(2, drawn.collect())
+    Page::Charts(2, groups.iter().flat_map(|(state, rows)| charts(rows, state, &errors, name)).collect())
 }
 
 fn draw_grids(results: &Results) -> Page {
     let errors = [("error_p", "error of p over the largest p"), ("error_u", "speed over g dt")];
     let name = |row: &Row| format!("{} cells/m, {}", row.count("grid"), row.text("precision"));
     let problems = grouped(results.rows("accuracy_grids"), |row| Some(row.text("problem")));
-    let drawn = problems.iter();
-    let drawn = drawn.flat_map(|(problem, rows)| charts(rows, problem, &errors, name));
-    Page::Charts(2, drawn.collect())
+    Page::Charts(2, problems.iter().flat_map(|(problem, rows)| charts(rows, problem, &errors, name)).collect())
 }

@@ -23,16 +23,11 @@ pub(super) struct SolidBytes {
 }
 
 impl SolidBytes {
-    /// Sizes of solids on a device. `real`, `inner`: bytes of a scalar of the velocities and of the preconditioner.
-    pub(super) fn new(solids: &Solids, [real, inner]: [usize; 2]) -> SolidBytes {
-        let topology = Incidence::new(solids.rest.len(), &solids.elements);
-        SolidBytes {
-            nodes: solids.rest.len() as f64,
-            elements: solids.elements.len() as f64,
-            blocks: topology.n_blocks() as f64,
-            real: real as f64,
-            inner: inner as f64,
-        }
+    /// Sizes of solids on a device. `inner`, `real`: bytes of a scalar of the preconditioner and of the velocities.
+    pub(super) fn new(solids: &Solids, [inner, real]: [f64; 2]) -> SolidBytes {
+        let (nodes, elements) = (solids.rest.len(), &solids.elements);
+        let blocks = Incidence::new(nodes, elements).n_blocks() as f64;
+        SolidBytes { nodes: nodes as f64, elements: elements.len() as f64, blocks, real, inner }
     }
 
     /// A vector per node.
@@ -45,24 +40,14 @@ impl SolidBytes {
         how_many * 12.0 * self.real * self.elements
     }
 
-    /// Corners of the nodes and their offsets.
-    fn incidence(&self) -> f64 {
-        WORD * (self.nodes + 4.0 * self.elements)
-    }
-
-    /// One step of the polynomial preconditioner.
-    fn polynomial_step(&self) -> f64 {
-        let n = self.nodes;
-        // Node of the row, its inverse, residual, iterate in and out, increment in and out.
-        let row = n * (WORD + (8.0 + 4.0 * 4.0) * self.inner) + self.vectors(1.0);
-        row + 12.0 * self.inner * self.blocks
-    }
-
     /// The polynomial of the preconditioner.
     fn polynomial(&self, degree: f64) -> f64 {
         // The first step has no product; the last writes z and its share of r . z.
         let first = self.nodes * (WORD + 16.0 * self.inner) + self.vectors(1.0);
-        first + degree * self.polynomial_step() + self.vectors(2.0)
+        // Node of the row, its inverse, residual, iterate in and out, increment in and out.
+        let row = self.nodes * (WORD + (8.0 + 4.0 * 4.0) * self.inner) + self.vectors(1.0);
+        let step = row + 12.0 * self.inner * self.blocks;
+        first + degree * step + self.vectors(2.0)
     }
 
     /// Product of S with a vector, from the elements, gathered at the nodes with `others` more vectors.
@@ -70,7 +55,9 @@ impl SolidBytes {
         let (n, m) = (self.nodes, self.elements);
         // Nodes, rotated gradients, vector; products written, and read by the gather.
         let products = m * VEC4 + self.element_vectors(2.0) + self.vectors(1.0);
-        let gather = self.incidence() + self.element_vectors(1.0) + n * (VEC4 + self.real);
+        // Corners of the nodes and their offsets.
+        let incidence = WORD * (n + 4.0 * m);
+        let gather = incidence + self.element_vectors(1.0) + n * (VEC4 + self.real);
         products + gather + self.vectors(1.0 + others)
     }
 
@@ -109,7 +96,7 @@ pub(super) enum Corrections {
     /// Pressures and velocities.
     TwoField {
         /// Degree of the solids' polynomial.
-        degree: usize,
+        degree: u32,
     },
     /// Pressures alone.
     Condensed {
@@ -136,10 +123,19 @@ pub(super) struct SolveBytes {
 }
 
 impl SolveBytes {
-    /// Set-up of the pressure system and its hierarchy: distance and apertures in, the matrix out.
-    pub(super) fn set_up(&self) -> f64 {
+    /// A solve and its set-up. The outer loop of a coupled solve is that of the solids alone; its other parts are small, as are the pairs of cells and
+    /// nodes.
+    pub(super) fn total(&self, coupled: Option<(SolidBytes, Corrections)>) -> f64 {
         let [inner, _] = self.widths;
-        self.unknowns * (4.0 * 4.0 + 5.0 * inner * 8.0 / 7.0)
+        // Of the pressure system and its hierarchy: distance and apertures in, the matrix out.
+        let set_up = self.unknowns * (4.0 * 4.0 + 5.0 * inner * 8.0 / 7.0);
+        let Some((solids, corrections)) = coupled else { return set_up + self.pressure() };
+        let iteration = match corrections {
+            Corrections::TwoField { degree } => solids.two_field(self.preconditioner, degree.into()),
+            // The wet compliance in f32, three components per node; vectors of the nodes are small beside it.
+            Corrections::Condensed { wet_nodes } => 4.0 * (3.0 * wet_nodes as f64).powi(2),
+        };
+        set_up + (self.pressure() + solids.outer_loop(self.refinements) + self.iterations * iteration)
     }
 
     /// A solve for the pressure without its set-up. Per unknown: w bytes for a scalar of the corrections, 8 of the outer loop (4 with `f32`), 5 sections of
@@ -148,7 +144,7 @@ impl SolveBytes {
     /// Iteration: apply (s, r, q), update (x and r twice, s, q, z), direction (z, s twice), preconditioner. Preconditioner: a V-cycle with two smoothing
     /// sweeps and one after the prolongation (x, r, x_out each), restriction (x, r), prolongation (x twice) on the finest level, and a seventh of it on
     /// the coarser ones; or the diagonal of all quads (itself, r, z).
-    pub(super) fn pressure(&self) -> f64 {
+    fn pressure(&self) -> f64 {
         let SolveBytes { not_uniform, widths: [inner, outer], .. } = *self;
         let matrix = 5.0 * inner * not_uniform;
         let preconditioner = match self.preconditioner {
@@ -162,15 +158,5 @@ impl SolveBytes {
         let rest = (3.0 * inner + matrix + 1.0) + (7.0 * inner + not_uniform * inner + 1.0) + (3.0 * inner + 1.0);
         let turn = (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
         self.unknowns * (self.iterations * (preconditioner + rest) + (self.refinements + 1.0) * turn)
-    }
-
-    /// A coupled solve without its set-up. The outer loop is that of the solids alone; its other parts are small, as are the pairs of cells and nodes.
-    pub(super) fn coupled(&self, solids: &SolidBytes, corrections: Corrections) -> f64 {
-        let iteration = match corrections {
-            Corrections::TwoField { degree } => solids.two_field(self.preconditioner, degree as f64),
-            // The wet compliance in f32, three components per node; vectors of the nodes are small beside it.
-            Corrections::Condensed { wet_nodes } => 4.0 * (3.0 * wet_nodes as f64).powi(2),
-        };
-        self.pressure() + solids.outer_loop(self.refinements) + self.iterations * iteration
     }
 }

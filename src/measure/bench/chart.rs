@@ -8,6 +8,7 @@ use plotters::prelude::*;
 use super::statistics::{Spread, grouped};
 use super::table::Row;
 use crate::Error;
+use crate::measure::remove;
 use crate::output::drawing::{Area, Failure, ink, write_svg};
 
 /// A page of pictures.
@@ -48,24 +49,17 @@ pub(crate) struct Bars {
     pub(crate) key: bool,
 }
 
-/// Lines of rows by name; points that a logarithmic chart cannot show are left out.
+/// Lines of rows by name, with two columns as points; those that a logarithmic chart cannot show are left out.
 pub(crate) fn lines<'r>(
     rows: impl IntoIterator<Item = &'r Row>,
     name: impl Fn(&Row) -> String,
-    point: impl Fn(&Row) -> Option<[Spread; 2]>,
+    columns: [&str; 2],
 ) -> Vec<(String, Vec<[Spread; 2]>)> {
-    let shown = |ends: &[Spread; 2]| ends.iter().all(|end| end.min > 0.0 && end.max.is_finite());
-    let groups = grouped(rows, |row| point(row).filter(shown).map(|_| name(row)));
-    let points = |rows: Vec<&Row>| rows.into_iter().filter_map(&point).collect();
-    groups.into_iter().map(|(name, rows)| (name, points(rows))).collect()
-}
-
-/// Point of a row: two columns.
-pub(crate) fn at(columns: [&str; 2]) -> impl Fn(&Row) -> Option<[Spread; 2]> {
-    move |row| {
-        let exact = |name| Spread::exact(row.number(name));
-        Some(columns.map(|name| row.spread(name).unwrap_or_else(|| exact(name))))
-    }
+    let value = |row: &Row, name| row.spread(name).unwrap_or_else(|| Spread::exact(row.number(name)));
+    let point = |row: &Row| columns.map(|name| value(row, name));
+    let shown = |row: &&Row| point(row).iter().all(|end| end.min > 0.0 && end.max.is_finite());
+    let groups = grouped(rows.into_iter().filter(shown), |row| Some(name(row)));
+    groups.into_iter().map(|(name, rows)| (name, rows.into_iter().map(point).collect())).collect()
 }
 
 impl Page {
@@ -73,24 +67,22 @@ impl Page {
     pub(super) fn write(&self, path: &Path) -> Result<(), Error> {
         match self {
             Page::Charts(across, charts) => {
-                let charts = charts.iter().filter(|chart| !chart.lines.is_empty());
-                let charts: Vec<&Chart> = charts.collect();
+                let charts: Vec<&Chart> = charts.iter().filter(|chart| !chart.lines.is_empty()).collect();
                 if charts.is_empty() {
-                    return super::remove(path);
+                    return remove(path);
                 }
                 let across = charts.len().min(*across);
                 let down = charts.len().div_ceil(across);
                 let width = if across == 1 { 900 } else { 580 * across as u32 };
                 write_svg(path, (width, 480 * down as u32), |root| {
                     let areas = root.split_evenly((down, across));
-                    let mut charts = areas.iter().zip(charts);
-                    charts.try_for_each(|(area, chart)| chart.draw(area))
+                    areas.iter().zip(charts).try_for_each(|(area, chart)| chart.draw(area))
                 })
             }
             Page::Bars(lists) => {
                 let lists: Vec<&Bars> = lists.iter().filter(|list| !list.bars.is_empty()).collect();
                 if lists.is_empty() {
-                    return super::remove(path);
+                    return remove(path);
                 }
                 let heights: Vec<u32> = lists.iter().map(|list| list.height()).collect();
                 write_svg(path, (1100, heights.iter().sum()), |root| {
@@ -148,10 +140,7 @@ impl Chart {
                 chart.draw_series(bars.map(|ends| PathElement::new(ends, colour)))?;
             }
         }
-        let position = match self.falling {
-            true => SeriesLabelPosition::LowerLeft,
-            false => SeriesLabelPosition::UpperLeft,
-        };
+        let position = if self.falling { SeriesLabelPosition::LowerLeft } else { SeriesLabelPosition::UpperLeft };
         key(chart.configure_series_labels().position(position))
     }
 }
@@ -173,8 +162,7 @@ impl Bars {
     /// Names of the parts, in the order of first appearance.
     fn parts(&self) -> Vec<&str> {
         let parts = self.bars.iter().flat_map(|(_, parts, _)| parts);
-        let names = grouped(parts, |part| Some(part.0.as_str()));
-        names.into_iter().map(|(name, _)| name).collect()
+        grouped(parts, |part| Some(part.0.as_str())).into_iter().map(|(name, _)| name).collect()
     }
 
     /// Pixels.
@@ -204,14 +192,9 @@ impl Bars {
         };
         chart.configure_mesh().disable_y_mesh().x_desc(self.axis).y_labels(n).y_label_formatter(&label).draw()?;
         for (index, name) in self.parts().into_iter().enumerate() {
-            let colour = match name {
-                "" => BLACK.mix(0.25),
-                _ => ink(index).mix(0.7),
-            };
-            let bars = self.bars.iter().enumerate();
-            let bars = bars.flat_map(|(at, (_, parts, _))| {
-                let own = parts.iter().filter(|part| part.0 == name);
-                own.map(move |&(_, from, to)| {
+            let colour = if name.is_empty() { BLACK.mix(0.25) } else { ink(index).mix(0.7) };
+            let bars = self.bars.iter().enumerate().flat_map(|(at, (_, parts, _))| {
+                parts.iter().filter(|part| part.0 == name).map(move |&(_, from, to)| {
                     let mut bar = Rectangle::new(side([from, to], at), colour.filled());
                     bar.set_margin(2, 2, 0, 0);
                     bar
@@ -222,10 +205,8 @@ impl Bars {
                 bars.label(name).legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 14, y + 5)], colour.filled()));
             }
         }
-        let marks = self.bars.iter().enumerate();
-        chart.draw_series(
-            marks.map(|(at, (_, _, mark))| PathElement::new(side([*mark; 2], at), BLACK.stroke_width(2))),
-        )?;
+        let mark = |(at, bar): (usize, &Bar)| PathElement::new(side([bar.2; 2], at), BLACK.stroke_width(2));
+        chart.draw_series(self.bars.iter().enumerate().map(mark))?;
         match self.key {
             true => key(chart.configure_series_labels().position(SeriesLabelPosition::UpperRight)),
             false => Ok(()),

@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use super::chart::Page;
 use super::statistics::Spread;
 use super::table::{Table, columns, row};
 use super::{Bench, Case, Listener, Machine, Results, Run, Settings};
@@ -37,17 +36,17 @@ pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Res
         name: "device",
         tables: vec![Table::new("device", &[DEVICE], &["quantity"])],
         derive: |_| {},
-        pictures: &[("device", |_| Page::Bars(Vec::new()))],
+        pictures: &[],
     };
     let machine = Machine::new(gpu, settings.repeats)?;
     let mut run = Run::start(bench, machine, &(), settings, listener)?;
-    let (copy, tiny) = (run.results.machine.copy_bandwidth, Tiny::new(gpu)?);
-    let cases = QUANTITIES.iter().map(|&(name, unit)| {
-        let tiny = &tiny;
+    let tiny = &Tiny::new(gpu)?;
+    let cases = QUANTITIES.iter().map(|&(name, unit, measure)| {
         Case::new("device", row! { quantity: name }, move |run| {
-            let measured = match name {
-                "copy_bandwidth" => copy,
-                _ => tiny.measure(name, run.settings.repeats)?,
+            let measured = match measure {
+                None => run.results.machine.copy_bandwidth,
+                Some(_) if name == "f64_rate" && !gpu.has_f64() => None,
+                Some(measure) => Some(measure(tiny, run.settings.repeats)?),
             };
             let row = |Spread { median, min, max }| {
                 row! { quantity: name, unit: unit, median: median, min: min, max: max }
@@ -59,23 +58,26 @@ pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Res
     Ok(run.results)
 }
 
-/// Quantities and their units.
-const QUANTITIES: [(&str, &str); 8] = [
-    ("copy_bandwidth", "byte/s"),
-    ("f32_rate", "flop/s"),
-    ("f64_rate", "flop/s"),
-    ("launch", "s"),
-    ("indirect_launch", "s"),
-    ("submission", "s"),
-    ("wait", "s"),
-    ("read_back", "s"),
+/// Measures a quantity with so many repeats.
+type Measure = fn(&Tiny, usize) -> Result<Spread, Error>;
+
+/// Quantities, their units, and their measurements but of the copy bandwidth, which every bench has.
+const QUANTITIES: [(&str, &str, Option<Measure>); 8] = [
+    ("copy_bandwidth", "byte/s", None),
+    ("f32_rate", "flop/s", Some(|tiny, n| arithmetic(tiny.gpu, Real::F32, n))),
+    ("f64_rate", "flop/s", Some(|tiny, n| arithmetic(tiny.gpu, Real::F64, n))),
+    ("launch", "s", Some(|tiny, n| tiny.per_item(n, |n| tiny.launches(n, false)))),
+    ("indirect_launch", "s", Some(|tiny, n| tiny.per_item(n, |n| tiny.launches(n, true)))),
+    ("submission", "s", Some(|tiny, n| tiny.per_item(n, |n| tiny.submissions(n)))),
+    ("wait", "s", Some(|tiny, n| repeat(n, || tiny.submissions(1)))),
+    ("read_back", "s", Some(|tiny, n| repeat(n, || tiny.read_back()))),
 ];
 
 /// Repeats a measurement; the first, which compiles and warms caches, is not counted.
 fn repeat(repeats: usize, mut run: impl FnMut() -> Result<f64, Error>) -> Result<Spread, Error> {
     run()?;
-    let values = (0..repeats.max(1)).map(|_| run());
-    Ok(Spread::of(values.collect::<Result<_, _>>()?))
+    let values = (0..repeats.max(1)).map(|_| run()).collect::<Result<_, _>>();
+    Ok(Spread::of(values?))
 }
 
 /// A kernel that copies 16 bytes a thread, between buffers of `n` f32, and its target.
@@ -98,18 +100,28 @@ pub(super) fn dispatches(gpu: &Gpu, n: usize, mut record: impl FnMut(&mut crate:
     Ok(clock.elapsed().as_secs_f64())
 }
 
+/// Number of dispatches, doubled from `n` to at most `most`, that take some seconds. The first run compiles.
+pub(super) fn enough(
+    mut n: usize,
+    most: usize,
+    seconds: f64,
+    run: impl Fn(usize) -> Result<f64, Error>,
+) -> Result<usize, Error> {
+    run(n)?;
+    while run(n)? < seconds && n < most {
+        n *= 2;
+    }
+    Ok(n)
+}
+
 /// Operations per second of fused multiply-adds.
 fn arithmetic(gpu: &Gpu, real: Real, repeats: usize) -> Result<Spread, Error> {
     let target = RealBuffer::new(gpu, "bench.target", THREADS, real)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("multiply_add"), real)?;
     let bound = kernel.bind(gpu, &[("target_out", (&target).into())], &[])?;
     let run = |n: usize| dispatches(gpu, n, |pass| pass.dispatch(&bound, THREADS));
-    run(1)?;
     // As many dispatches as hide the latency of submission and wait.
-    let mut n = 1;
-    while run(n)? < LONG_ENOUGH && n < 1 << 14 {
-        n *= 2;
-    }
+    let n = enough(1, 1 << 14, LONG_ENOUGH, run)?;
     let work = OPERATIONS * (THREADS * n) as f64;
     repeat(repeats, || Ok(work / run(n)?))
 }
@@ -126,21 +138,6 @@ impl<'a> Tiny<'a> {
     fn new(gpu: &'a Gpu) -> Result<Tiny<'a>, Error> {
         let (copy, target) = copying(gpu, 256)?;
         Ok(Tiny { gpu, copy, args: gpu.buffer_with("bench.args", &[1, 1, 1, 64])?, target })
-    }
-
-    /// Measures a quantity other than the copy bandwidth; `None` if the adapter lacks it.
-    fn measure(&self, quantity: &str, n: usize) -> Result<Option<Spread>, Error> {
-        let spread = match quantity {
-            "f32_rate" => arithmetic(self.gpu, Real::F32, n),
-            "f64_rate" if self.gpu.has_f64() => arithmetic(self.gpu, Real::F64, n),
-            "launch" => self.per_item(n, |tiny, n| tiny.launches(n, false)),
-            "indirect_launch" => self.per_item(n, |tiny, n| tiny.launches(n, true)),
-            "submission" => self.per_item(n, |tiny, n| tiny.submissions(n)),
-            "wait" => repeat(n, || self.submissions(1)),
-            "read_back" => repeat(n, || self.read_back()),
-            _ => return Ok(None),
-        };
-        spread.map(Some)
     }
 
     /// Seconds of `n` dispatches of one workgroup, each waiting for the one before.
@@ -178,9 +175,9 @@ impl<'a> Tiny<'a> {
     }
 
     /// Seconds of one more item: [`MANY`] more over their number, without the fixed cost of a submission and a wait.
-    fn per_item(&self, repeats: usize, run: impl Fn(&Tiny, usize) -> Result<f64, Error>) -> Result<Spread, Error> {
+    fn per_item(&self, repeats: usize, run: impl Fn(usize) -> Result<f64, Error>) -> Result<Spread, Error> {
         repeat(repeats, || {
-            let [few, many] = [run(self, MANY)?, run(self, 2 * MANY)?];
+            let [few, many] = [run(MANY)?, run(2 * MANY)?];
             Ok(((many - few) / MANY as f64).max(0.0))
         })
     }

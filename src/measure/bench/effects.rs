@@ -39,6 +39,9 @@ pub const COUPLING: &str = "coupling";
 /// Largest probability that an absent effect without cost fails by its seconds: of ten pairs all have to be slower.
 const FALSE_ALARM: f64 = 1e-3;
 
+/// Columns that are 0 of effects without cost.
+const COUNTS: [&str; 4] = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
+
 /// Scenes to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -89,38 +92,33 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     };
     // A separate device, whose buffers do not count.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
-    let request = (hashes(&options.scenes), options.frames);
-    let mut run = Run::start(bench, machine, &request, settings, listener)?;
+    let mut run = Run::start(bench, machine, &(hashes(&options.scenes), options.frames), settings, listener)?;
     let scratch = Scratch::new(&settings.out)?;
     let cases = options.scenes.iter().map(|scene| {
-        Case::new("effects", row! { scene: scene.name.as_str(), effect: ITSELF }, |_| {
-            scene_rows(scene, options, &scratch)
-        })
+        let key = row! { scene: scene.name.as_str(), effect: ITSELF };
+        Case::new("effects", key, |_| scene_rows(scene, options, &scratch))
     });
     run.cases(cases.collect())?;
-    let rows = run.results.rows("effects").iter();
-    let failed = rows.filter(|row| row.text("effect") == ABSENT && costs(row));
+    let failed = run.results.rows("effects").iter().filter(|row| row.text("effect") == ABSENT && costs(row));
     run.results.failures = failed.map(failure).collect();
     Ok(run.results)
 }
 
 /// Whether absent effects have a cost, by a row of the control; for seconds with an error probability of `FALSE_ALARM`.
 pub fn costs(row: &Row) -> bool {
-    let counts = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
-    let same = counts.iter().all(|name| row.number(name) == 0.0);
+    let same = COUNTS.iter().all(|name| row.number(name) == 0.0);
     let [pairs, slower] = ["pairs", "slower"].map(|name| row.count(name));
     let slower = row.text("seconds_told") == pairs::ADDS && pairs::at_most(pairs - slower, pairs) <= FALSE_ALARM;
     !(same && row.text("kernels").is_empty()) || slower
 }
 
 fn failure(row: &Row) -> String {
-    let [bytes, dispatches, solve, differ, n] =
-        ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ", "pairs"]
-            .map(|name| row.number(name));
+    let [bytes, dispatches, solve, differ] = COUNTS.map(|name| row.number(name));
     format!(
-        "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {n} pairs), \
+        "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {} pairs), \
          kernels: {}; seconds {:.2e}, more in {} pairs",
         row.text("scene"),
+        row.count("pairs"),
         row.text("kernels"),
         row.number("seconds_added"),
         row.count("slower"),
@@ -138,9 +136,8 @@ struct Timed {
 impl Timed {
     fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
         let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
-        let mut timed = Timed { scene, simulation, at_start: 0 };
-        timed.at_start = timed.gpu().allocated().len();
-        Ok(timed)
+        let at_start = simulation.gpu().map_or(0, |gpu| gpu.allocated().len());
+        Ok(Timed { scene, simulation, at_start })
     }
 
     fn gpu(&self) -> &Gpu {
@@ -162,8 +159,7 @@ impl Timed {
             state.markers.clear();
         }
         // Without sources there is no room for emitted markers.
-        let room = self.simulation.gpu_path().and_then(GpuPath::marker_room);
-        state.markers.truncate(room.unwrap_or(0));
+        state.markers.truncate(self.simulation.gpu_path().and_then(GpuPath::marker_room).unwrap_or(0));
         self.simulation.reset(&state)?;
         self.gpu().start_trace();
         let clock = Instant::now();
@@ -171,8 +167,7 @@ impl Timed {
         self.simulation.probes()?;
         let seconds = clock.elapsed().as_secs_f64();
         let dispatches = self.gpu().take_trace().dispatches;
-        let of_solve = dispatches.iter().filter(|(stage, _)| *stage == "solve");
-        let solve_dispatches = of_solve.count();
+        let solve_dispatches = dispatches.iter().filter(|(stage, _)| *stage == "solve").count();
         Ok(Cost { seconds, dispatches: dispatches.len() - solve_dispatches, solve_dispatches })
     }
 }
@@ -186,14 +181,11 @@ pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
         *first += usize::from(at < at_start);
         all.push(*bytes);
     }
-    let sums = labels.into_iter().map(|(label, (first, all))| {
-        let in_use = match label.ends_with("(read-back)") {
-            true => &all[..first],
-            false => &all[all.len() - first.max(1)..],
-        };
-        in_use.iter().sum::<u64>()
+    let in_use = labels.iter().flat_map(|(label, (first, all))| match label.ends_with("(read-back)") {
+        true => &all[..*first],
+        false => &all[all.len() - first.max(&1)..],
     });
-    sums.sum()
+    in_use.sum()
 }
 
 /// A reduced scene, and its pairs of sub-steps with the whole scene.
@@ -230,18 +222,16 @@ fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Row
             }
         }
     }
-    let rows = rows(scene, &whole, &parts).into_iter();
-    let (simulation, folder) = (&mut whole.simulation, scratch.frames());
-    let outputs = outputs::measure(scene, simulation, &states, &folder, &mut random)?.into_iter();
-    let outputs = outputs.map(|row| ("effects_outputs", row));
-    Ok(rows.map(|row| ("effects", row)).chain(outputs).collect())
+    let rows = rows(scene, &whole, &parts);
+    let outputs = outputs::measure(scene, &mut whole.simulation, &states, &scratch.frames(), &mut random)?;
+    let outputs = outputs.into_iter().map(|row| ("effects_outputs", row));
+    Ok(rows.into_iter().map(|row| ("effects", row)).chain(outputs).collect())
 }
 
 /// Kinds of probes of a scene.
 fn probe_kinds(scene: &Scene) -> Vec<&'static str> {
     let has = |is: &IsKind| scene.probes.iter().any(|probe| is(&probe.kind));
-    let kinds = PROBES.iter().filter(|(_, is)| has(is));
-    kinds.map(|(name, _)| *name).collect()
+    PROBES.iter().filter(|(_, is)| has(is)).map(|(name, _)| *name).collect()
 }
 
 /// The scene without each of its effects, the control, and the scene itself. A single kind of probes is the effect `probes`.
@@ -267,11 +257,8 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
         scenes.push((name, without));
     }
     scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
-    let parts = scenes.into_iter().map(|(name, scene)| {
-        let timed = Timed::new(scene, &options.adapter)?;
-        Ok(Part { name, timed, pairs: Vec::new() })
-    });
-    parts.collect()
+    let part = |(name, scene)| Ok(Part { name, timed: Timed::new(scene, &options.adapter)?, pairs: Vec::new() });
+    scenes.into_iter().map(part).collect()
 }
 
 fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
@@ -280,18 +267,19 @@ fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
     let control = part(ABSENT).expect("there is a control");
     let noise = part(ITSELF).and_then(|part| pairs::noise(&part.pairs));
     let kinds = probe_kinds(scene);
-    let names = EFFECTS.iter().map(|effect| (effect.name, (effect.present)(&effects)));
-    let names = names.chain([(COUPLING, effects.coupling)]);
-    let names = names.chain(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
-    let rows = names.chain([(ABSENT, false), (ITSELF, true)]).map(|(effect, present)| {
+    let mut names: Vec<_> = EFFECTS.iter().map(|effect| (effect.name, (effect.present)(&effects))).collect();
+    names.push((COUPLING, effects.coupling));
+    names.extend(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
+    names.extend([(ABSENT, false), (ITSELF, true)]);
+    let rows = names.into_iter().map(|(effect, present)| {
         let row = row! { scene: scene.name.as_str(), effect: effect, present: present };
         let compared = |pairs: &[Pair], without: &[&Part]| row.clone().with(compared(pairs, noise, whole, without));
         if !present {
             return compared(&control.pairs, &[control]);
         }
         if let (COUPLING, Some(liquid), Some(solids)) = (effect, part("solids"), part("liquid")) {
-            let pairs = liquid.pairs.iter().zip(&solids.pairs);
-            let pairs: Vec<Pair> = pairs.map(|(a, b)| pairs::against_both(*a, *b)).collect();
+            let both = liquid.pairs.iter().zip(&solids.pairs);
+            let pairs: Vec<Pair> = both.map(|(a, b)| pairs::against_both(*a, *b)).collect();
             return compared(&pairs, &[liquid, solids]);
         }
         let only = (kinds == [effect]).then(|| part("probes")).flatten();
@@ -310,10 +298,8 @@ fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]
     let [low, added, high] = Spread::quartiles(all.clone());
     let interval = pairs::interval(all.clone());
     let bytes: u64 = without.iter().map(|part| part.timed.bytes()).sum();
-    let others = without.iter().map(|part| part.timed.gpu().compiled());
-    let others: BTreeSet<&str> = others.flatten().collect();
-    let own = whole.gpu().compiled();
-    let own: Vec<&str> = own.difference(&others).copied().collect();
+    let others: BTreeSet<&str> = without.iter().flat_map(|part| part.timed.gpu().compiled()).collect();
+    let own: Vec<&str> = whole.gpu().compiled().difference(&others).copied().collect();
     row! {
         seconds_with: pairs::median(pairs, 0), seconds_without: pairs::median(pairs, 1), seconds_added: added, seconds_added_low: low,
         seconds_added_high: high, seconds_told: pairs::verdict(interval, added, noise), seconds_told_low: interval.map(|[low, _]| low),
@@ -326,9 +312,8 @@ fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]
 
 /// A bar from the first to the third quartile of the added seconds, a mark at the median; grey where the seconds are noise.
 fn draw(results: &Results) -> Page {
-    let rows = results.rows("effects").iter();
-    let rows = rows.filter(|row| (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added"));
-    let bars = rows.map(|row| {
+    let drawn = |row: &&Row| (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added");
+    let bars = results.rows("effects").iter().filter(drawn).map(|row| {
         let [low, median, high] =
             ["seconds_added_low", "seconds_added", "seconds_added_high"].map(|name| 1e3 * row.number(name));
         let verdict = row.text("seconds_told");
@@ -336,10 +321,6 @@ fn draw(results: &Results) -> Page {
         let name = format!("{}: {}", row.text("scene"), row.text("effect"));
         (name, vec![(part.to_owned(), low, high)], median)
     });
-    Page::Bars(vec![Bars {
-        title: "time that effects add to a sub-step".to_owned(),
-        axis: "ms",
-        bars: bars.collect(),
-        key: false,
-    }])
+    let title = "time that effects add to a sub-step".to_owned();
+    Page::Bars(vec![Bars { title, axis: "ms", bars: bars.collect(), key: false }])
 }

@@ -53,9 +53,6 @@ impl Ended {
     }
 
     /// Refuses a repeat with another end. `what`: the system.
-    ///
-    /// # Errors
-    /// [`Error::Check`].
     pub fn ensure_repeated(self, again: Ended, what: &str) -> Result<(), Error> {
         let bits = |residual: f64| {
             if residual.is_nan() { 0 } else { residual.to_bits() }

@@ -5,7 +5,7 @@ use std::time::SystemTime;
 
 use serde::Serialize;
 
-use super::device::{copying, dispatches};
+use super::device::{copying, dispatches, enough};
 use super::statistics::Spread;
 use crate::Error;
 use crate::gpu::Gpu;
@@ -57,9 +57,6 @@ impl Machine {
     }
 
     /// Host and device; measures the copy bandwidth.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn new(gpu: &Gpu, repeats: usize) -> Result<Machine, Error> {
         Ok(Machine {
             adapter: Some(gpu.report().name.clone()),
@@ -87,8 +84,7 @@ impl Machine {
 fn cpu() -> Option<String> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;
     let mut lines = text.lines().filter_map(|line| line.split_once(':'));
-    let (_, model) = lines.find(|(key, _)| key.trim() == "model name")?;
-    Some(model.trim().to_owned())
+    lines.find(|(key, _)| key.trim() == "model name").map(|(_, model)| model.trim().to_owned())
 }
 
 /// Bytes of each of the two buffers: larger than the caches of CPUs, and of GPUs.
@@ -105,11 +101,7 @@ fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
     };
     let copy = copying(gpu, bytes / 4)?.0;
     let run = |copies: usize| dispatches(gpu, copies, |pass| pass.dispatch(&copy, bytes / 16));
-    let mut copies = 8;
-    run(copies)?;
-    while run(copies)? < LONG_ENOUGH && copies < 1 << 12 {
-        copies *= 2;
-    }
+    let copies = enough(8, 1 << 12, LONG_ENOUGH, run)?;
     let moved = (2 * bytes * copies) as f64;
     let rates = (0..repeats.max(1)).map(|_| Ok(moved / run(copies)?));
     Ok(Spread::of(rates.collect::<Result<_, Error>>()?))

@@ -22,15 +22,16 @@ pub mod thesis;
 
 use std::fmt::Debug;
 use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde::{Serialize, Serializer};
 use serde_json::Value as Json;
 
+use super::write_json;
 use crate::Error;
-use crate::output::{FolderLock, write_atomically};
+use crate::gpu::Gpu;
+use crate::output::FolderLock;
 use crate::scene::Scene;
 use chart::Page;
 use statistics::Spread;
@@ -42,8 +43,11 @@ pub use machine::{Machine, SOURCES};
 const SEED: u64 = 20;
 /// Time between two messages of progress.
 const PAUSE: Duration = Duration::from_secs(5);
-/// Cure for rows that a run cannot keep.
-const ANEW: &str = "measure into another folder (--out), or leave --resume out to measure all anew";
+/// Refuses a file of an earlier run, whose rows this one cannot keep.
+fn refused(path: &Path, problem: String) -> Error {
+    let cure = "measure into another folder (--out), or leave --resume out to measure all anew";
+    Error::input(path.display().to_string(), problem, cure)
+}
 
 /// Options of every bench.
 #[derive(Clone, Debug)]
@@ -111,22 +115,23 @@ impl Results {
     /// # Errors
     /// [`Error::Check`] with all failed checks.
     pub fn verdict(&self) -> Result<(), Error> {
-        match self.failures.is_empty() {
-            true => Ok(()),
-            false => Err(Error::Check(self.failures.join("\n  "))),
-        }
+        if self.failures.is_empty() { Ok(()) } else { Err(Error::Check(self.failures.join("\n  "))) }
     }
 }
 
 /// Digests of scenes, for requests.
-fn hashes(scenes: &[Scene]) -> Vec<&str> {
-    scenes.iter().map(|scene| scene.hash.as_str()).collect()
+fn hashes<'s>(scenes: impl IntoIterator<Item = &'s Scene>) -> Vec<&'s str> {
+    scenes.into_iter().map(|scene| scene.hash.as_str()).collect()
+}
+
+/// Bytes of all buffers of a device so far.
+fn allocated_bytes(gpu: &Gpu) -> u64 {
+    gpu.allocated().iter().map(|(_, bytes)| bytes).sum()
 }
 
 /// Rows of a table by its name.
 fn rows<'a>(tables: &'a [Table], name: &str) -> &'a [Row] {
-    let table = tables.iter().find(|table| table.name == name);
-    table.map_or(&[], |table| &table.rows)
+    tables.iter().find(|table| table.name == name).map_or(&[], |table| &table.rows)
 }
 
 /// Replaces the rows of a table by its name.
@@ -192,16 +197,11 @@ impl<'a> Run<'a> {
         listener: Listener<'a>,
     ) -> Result<Run<'a>, Error> {
         let request = format!("{request:?}, {} repeats, {} s", settings.repeats, settings.seconds);
+        let tables = bench.tables.clone();
         let mut run = Run {
             _lock: FolderLock::take(&settings.out)?,
             settings: settings.clone(),
-            results: Results {
-                machine,
-                tables: bench.tables.clone(),
-                failures: Vec::new(),
-                parts: Vec::new(),
-                request,
-            },
+            results: Results { machine, request, parts: Vec::new(), tables, failures: Vec::new() },
             bench,
             listener,
             last_message: Instant::now(),
@@ -220,16 +220,13 @@ impl<'a> Run<'a> {
     /// Reads the rows of an earlier run.
     fn resume(&mut self) -> Result<(), Error> {
         let path = self.file(self.bench.name, "json");
-        let Ok(text) = fs::read_to_string(&path) else {
-            return Ok(());
-        };
-        let refused = |problem: String| Error::input(path.display().to_string(), problem, ANEW);
-        let then: Json =
-            serde_json::from_str(&text).map_err(|problem| refused(format!("cannot be read: {problem}")))?;
+        let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };
+        let unreadable = |problem| refused(&path, format!("cannot be read: {problem}"));
+        let then: Json = serde_json::from_str(&text).map_err(unreadable)?;
         let now = serde_json::to_value(&self.results).map_err(|problem| Error::output(&path, problem))?;
         for key in ["cutwater", "sources", "adapter", "driver", "cpu", "threads", "request"] {
             if then[key] != now[key] {
-                return Err(refused(format!("it has {key} {}, this run {}", then[key], now[key])));
+                return Err(refused(&path, format!("it has {key} {}, this run {}", then[key], now[key])));
             }
         }
         self.results.parts = then["parts"].as_array().cloned().unwrap_or_default();
@@ -243,14 +240,11 @@ impl<'a> Run<'a> {
     pub(crate) fn cases(&mut self, cases: Vec<Case>) -> Result<(), Error> {
         let (clock, total) = (Instant::now(), cases.len());
         for (done, mut case) in cases.into_iter().enumerate() {
-            let mut tables = self.results.tables.iter();
-            let table = tables.find(|table| table.name == case.table);
-            if table.is_some_and(|table| table.has(&case.key)) {
-                continue;
+            if !self.results.rows(case.table).iter().any(|row| row.contains(&case.key)) {
+                let rows = (case.measure)(self)?;
+                self.put(rows)?;
+                self.progress("cases", done + 1, total, clock);
             }
-            let rows = (case.measure)(self)?;
-            self.put(rows)?;
-            self.progress("cases", done + 1, total, clock);
         }
         Ok(())
     }
@@ -258,8 +252,7 @@ impl<'a> Run<'a> {
     /// Adds rows to their tables and writes all files.
     pub(crate) fn put(&mut self, rows: Rows) -> Result<(), Error> {
         for (name, row) in rows {
-            let mut tables = self.results.tables.iter_mut();
-            let table = tables.find(|table| table.name == name);
+            let table = self.results.tables.iter_mut().find(|table| table.name == name);
             let table = table.expect("the bench declares the table");
             table.put(row.clone());
             (self.listener)(Event::Row(table, &row));
@@ -279,15 +272,14 @@ impl<'a> Run<'a> {
         if done < total && self.last_message.elapsed() >= PAUSE {
             self.last_message = Instant::now();
             let left = clock.elapsed().as_secs_f64() * (total - done) as f64 / done as f64;
-            let message = format!("{done} of {total} {what}, {left:.0} s left");
-            (self.listener)(Event::Progress(&message));
+            (self.listener)(Event::Progress(&format!("{done} of {total} {what}, {left:.0} s left")));
         }
     }
 
     /// Writes all files.
     fn write(&mut self) -> Result<(), Error> {
         (self.bench.derive)(&mut self.results.tables);
-        write_json(&self.results, &self.file(self.bench.name, "json"))?;
+        write_json(&self.file(self.bench.name, "json"), &self.results)?;
         for table in &self.results.tables {
             table.write_csv(&self.file(table.name, "csv"))?;
         }
@@ -318,8 +310,7 @@ impl<T> Timed<T> {
     /// Seconds over those of another job in the same round.
     pub(crate) fn ratio<U>(&self, to: &Timed<U>) -> Spread {
         let pairs = self.seconds.iter().zip(&to.seconds);
-        let ratios = pairs.filter_map(|(own, other)| Some((*own)? / (*other)?));
-        Spread::of(ratios.collect())
+        Spread::of(pairs.filter_map(|(own, other)| Some((*own)? / (*other)?)).collect())
     }
 }
 
@@ -389,17 +380,4 @@ table::columns! {
         idle_seconds - "s" "seconds without work in the device's queue, median";
         device_bytes - "B" "bytes of all buffers";
     }
-}
-
-/// Removes a file if it exists.
-pub(crate) fn remove(path: &Path) -> Result<(), Error> {
-    match fs::remove_file(path) {
-        Err(problem) if problem.kind() != ErrorKind::NotFound => Err(Error::unwritten(path, &problem)),
-        _ => Ok(()),
-    }
-}
-
-fn write_json(value: &impl Serialize, path: &Path) -> Result<(), Error> {
-    let text = serde_json::to_vec_pretty(value).map_err(|problem| Error::output(path, problem))?;
-    write_atomically(path, &text)
 }

@@ -35,22 +35,20 @@ columns! {
     }
 }
 
-/// Product of a frame.
-enum Product<'a> {
-    /// The state, read back.
-    ReadBack,
-    /// Files of one kind.
-    Frames(FrameWriter),
-    /// Surfaces of the moving obstacles.
-    Obstacles(FrameWriter, &'a ObstacleSurfaces),
-    /// `checkpoint.npz`.
-    Checkpoint(Box<Manifest>),
-    /// A picture of a frame that its writer has written.
-    Preview(FrameWriter, Box<Pictures>),
-}
+const CHECKPOINT: &str = "checkpoint";
 
-/// Name of an output, whether the scene has it, and its product.
-type Output<'a> = (&'static str, bool, Product<'a>);
+/// Makes an output of the current state of a simulation.
+type Make<'a> = Box<dyn FnMut(&Simulation, &State) -> Result<(), Error> + 'a>;
+
+/// An output of a frame.
+struct Output<'a> {
+    name: &'static str,
+    /// Whether the scene has it.
+    present: bool,
+    /// Writer of the frame that it draws, not timed: a run writes the frame anyway.
+    drawn: Option<FrameWriter>,
+    make: Make<'a>,
+}
 
 /// Folder for timed frames, below that of the results; removed on drop.
 #[derive(Debug)]
@@ -60,9 +58,6 @@ pub struct Scratch {
 
 impl Scratch {
     /// Creates it below `out`, and removes the frames of a killed bench.
-    ///
-    /// # Errors
-    /// [`Error::Output`].
     pub fn new(out: &Path) -> Result<Scratch, Error> {
         let folder = out.join(".bench_effects");
         let failed = |problem: io::Error| Error::unwritten(&folder, &problem);
@@ -98,38 +93,30 @@ pub fn measure(
     // The preview needs a first frame. It is the warm-up state: the picture of a timed one would exist already.
     simulation.reset(&states[0])?;
     let mut outputs = outputs(scene, simulation, &surfaces, folder)?;
-    let order: Vec<(&'static str, bool)> = outputs.iter().map(|it| (it.0, it.1)).collect();
+    let order: Vec<(&'static str, bool)> = outputs.iter().map(|it| (it.name, it.present)).collect();
     let mut seconds: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
     let mut bytes: BTreeMap<&'static str, u64> = BTreeMap::new();
     for (sample, state) in states.iter().enumerate() {
         simulation.reset(state)?;
         random.shuffle(&mut outputs);
-        for (name, _, product) in &mut outputs {
+        for Output { name, drawn, make, .. } in &mut outputs {
             let run = folder.join(*name);
-            if let Product::Preview(writer, _) = product {
-                // Not timed: a run writes the frame anyway.
+            if let Some(writer) = drawn {
                 write_all(writer, &surfaces, simulation, state)?;
             }
-            let before = bytes_in(&run)?;
+            // A checkpoint replaces the one before.
+            let before = if *name == CHECKPOINT { 0 } else { bytes_in(&run)? };
             let clock = Instant::now();
-            make(product, simulation, state, &run)?;
+            make(simulation, state)?;
             let elapsed = clock.elapsed().as_secs_f64();
             if sample > 0 {
                 seconds.entry(name).or_default().push(elapsed);
-                let after = bytes_in(&run)?;
-                *bytes.entry(name).or_default() += match product {
-                    // Each replaces the one before.
-                    Product::Checkpoint(_) => after,
-                    _ => after.saturating_sub(before),
-                };
+                *bytes.entry(name).or_default() += bytes_in(&run)?.saturating_sub(before);
             }
         }
     }
-    for (name, _) in &order {
-        let run = folder.join(*name);
-        if run.is_dir() {
-            fs::remove_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
-        }
+    for run in order.iter().map(|(name, _)| folder.join(name)).filter(|run| run.is_dir()) {
+        fs::remove_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
     }
     let rows = order.into_iter().map(|(output, present)| {
         let seconds = seconds.remove(output).unwrap_or_default();
@@ -152,14 +139,20 @@ fn outputs<'a>(
 ) -> Result<Vec<Output<'a>>, Error> {
     let kinds = FrameKinds::of(scene);
     let writer = |name: &str, kinds| FrameWriter::create(&folder.join(name), &scene.name, scene.grid(), kinds);
-    let mut outputs = vec![("read_back", true, Product::ReadBack)];
+    let mut outputs: Vec<Output> = Vec::new();
+    let mut add = |name, present, drawn, make| outputs.push(Output { name, present, drawn, make });
+    add("read_back", true, None, Box::new(|simulation, _| simulation.state().map(drop)));
     for (name, present, kinds) in frame_kinds(scene, &kinds) {
-        outputs.push((name, present, Product::Frames(writer(name, kinds)?)));
+        let mut writer = writer(name, kinds)?;
+        let make: Make =
+            Box::new(move |simulation, state| writer.write(state, simulation.cut_cells(), simulation.solids()));
+        add(name, present, None, make);
     }
     if kinds.moving_obstacles {
         let name = "moving_obstacles";
-        let alone = FrameKinds { moving_obstacles: true, ..FrameKinds::default() };
-        outputs.push((name, true, Product::Obstacles(writer(name, alone)?, surfaces)));
+        let mut writer = writer(name, FrameKinds { moving_obstacles: true, ..FrameKinds::default() })?;
+        let make = move |_: &_, state: &State| writer.write_moved_obstacles(state, &surfaces.at(state.time));
+        add(name, true, None, Box::new(make));
     }
     let options = RunOptions {
         backend: "gpu".to_owned(),
@@ -168,19 +161,22 @@ fn outputs<'a>(
         overrides: scene.overrides.clone(),
     };
     let manifest = Manifest::new(scene, options, None).with_solids(scene, simulation.solids())?;
-    let run = folder.join("checkpoint");
+    let run = folder.join(CHECKPOINT);
     fs::create_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
-    let saves = scene.output.checkpoint_every > 0;
-    let checkpoint = Product::Checkpoint(Box::new(manifest.clone()));
-    outputs.push(("checkpoint", saves, checkpoint));
+    let saved = manifest.clone();
+    let save = move |simulation: &Simulation, state: &State| {
+        let (state, carried, manifest) = (state.clone(), simulation.carried()?, saved.clone());
+        Checkpoint { state, carried, steps_bytes: 0, probes_bytes: 0, manifest }.write(&run)
+    };
+    add(CHECKPOINT, scene.output.checkpoint_every > 0, None, Box::new(save));
     if kinds.markers || kinds.fields || kinds.solids {
         let run = folder.join("preview");
         let mut writer = writer("preview", kinds)?;
         manifest.write(&run)?;
         writer.write_obstacles(&surfaces.at(0.0))?;
         write_all(&mut writer, surfaces, simulation, &simulation.state()?)?;
-        let pictures = Box::new(Pictures::new(&run, &PreviewOptions::default())?);
-        outputs.push(("preview", false, Product::Preview(writer, pictures)));
+        let mut pictures = Pictures::new(&run, &PreviewOptions::default())?;
+        add("preview", false, Some(writer), Box::new(move |_, _| pictures.draw(&mut |_, _| true)));
     }
     Ok(outputs)
 }
@@ -190,22 +186,19 @@ fn frame_kinds(scene: &Scene, kinds: &FrameKinds) -> Vec<(&'static str, bool, Fr
     let none = FrameKinds::default();
     let mut all = Vec::new();
     if let Some(liquid) = &scene.liquid {
-        let (markers, surface) = match liquid.surface {
-            Surface::Markers => (true, SurfaceSource::Markers(scene.surface)),
-            Surface::Level => (true, SurfaceSource::Level),
-            Surface::Fixed => (false, SurfaceSource::Distance),
+        let surface = match liquid.surface {
+            Surface::Markers => SurfaceSource::Markers(scene.surface),
+            Surface::Level => SurfaceSource::Level,
+            Surface::Fixed => SurfaceSource::Distance,
         };
-        if markers {
-            all.push(("particles", kinds.markers, FrameKinds { markers, ..none }));
+        if liquid.surface != Surface::Fixed {
+            all.push(("particles", kinds.markers, FrameKinds { markers: true, ..none }));
         }
-        let (fields, surface) = (true, Some(surface));
-        all.push(("fields", kinds.fields, FrameKinds { fields, ..none }));
-        let present = kinds.surface.is_some();
-        all.push(("surface", present, FrameKinds { surface, ..none }));
+        all.push(("fields", kinds.fields, FrameKinds { fields: true, ..none }));
+        all.push(("surface", kinds.surface.is_some(), FrameKinds { surface: Some(surface), ..none }));
     }
     if !scene.solids.is_empty() {
-        let solids = true;
-        all.push(("solids", kinds.solids, FrameKinds { solids, ..none }));
+        all.push(("solids", kinds.solids, FrameKinds { solids: true, ..none }));
     }
     all
 }
@@ -221,39 +214,18 @@ fn write_all(
     writer.write(state, simulation.cut_cells(), simulation.solids())
 }
 
-/// Makes one product of the current state of the simulation.
-fn make(product: &mut Product, simulation: &Simulation, state: &State, run: &Path) -> Result<(), Error> {
-    match product {
-        Product::ReadBack => simulation.state().map(drop),
-        Product::Frames(writer) => writer.write(state, simulation.cut_cells(), simulation.solids()),
-        Product::Obstacles(writer, surfaces) => writer.write_moved_obstacles(state, &surfaces.at(state.time)),
-        Product::Checkpoint(manifest) => Checkpoint {
-            state: state.clone(),
-            carried: simulation.carried()?,
-            steps_bytes: 0,
-            probes_bytes: 0,
-            manifest: (**manifest).clone(),
-        }
-        .write(run),
-        Product::Preview(_, pictures) => pictures.draw(&mut |_, _| true),
-    }
-}
-
 /// Bytes of the files of frames below a folder; 0 without the folder.
 fn bytes_in(folder: &Path) -> Result<u64, Error> {
-    let Ok(entries) = fs::read_dir(folder) else {
-        return Ok(0);
-    };
-    let mut bytes = 0;
-    for entry in entries {
+    let Ok(entries) = fs::read_dir(folder) else { return Ok(0) };
+    let bytes = entries.map(|entry| {
         let entry = entry.map_err(|problem| Error::unwritten(folder, &problem))?;
         let path = entry.path();
         let list = path.extension().is_some_and(|kind| kind == "pvd");
-        bytes += match entry.metadata() {
-            Ok(data) if data.is_dir() => bytes_in(&path)?,
-            Ok(data) if !list => data.len(),
-            _ => 0,
-        };
-    }
-    Ok(bytes)
+        match entry.metadata() {
+            Ok(data) if data.is_dir() => bytes_in(&path),
+            Ok(data) if !list => Ok(data.len()),
+            _ => Ok(0),
+        }
+    });
+    bytes.sum()
 }

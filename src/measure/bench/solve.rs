@@ -10,20 +10,19 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use super::bytes::{Corrections, SolidBytes, SolveBytes};
-use super::chart::{Chart, Page, at, lines};
+use super::chart::{Chart, Page, lines};
 use super::ended::Ended;
 use super::statistics::{Spread, exponent, grouped};
 use super::table::{Row, Table, columns, row};
 use super::{
-    Bench, Case, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, Timed, growth, replace, rounds, rows,
+    Bench, Case, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, Timed, allocated_bytes, growth,
+    replace, rounds, rows,
 };
 use crate::Error;
-use crate::elastic::Solids;
 use crate::fields::SolverBuffers;
 use crate::gpu::{Buffer, Gpu, Recorder, Traffic};
 use crate::linalg::SymbolicCholesky;
 use crate::measure::base_scene::{DeviceScene, block_fields};
-use crate::reference::CoupledSystem;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
 use crate::scene::{self, Solver, names};
@@ -164,10 +163,13 @@ pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: List
                         grid: grid, bricks: bricks, formulation: formulation.name(), tolerance: solver.tolerance,
                         preconditioner: solver.preconditioner, precision: solver.precision,
                     };
-                    let measured = key.clone();
-                    cases.push(Case::new("solve", key, move |run| {
-                        system(gpu, run, formulation, &measured, solver, options)
-                    }));
+                    let form = match formulation {
+                        Formulation::Condensed => scene::Formulation::Condensed,
+                        Formulation::Pressure | Formulation::TwoField => scene::Formulation::TwoField,
+                    };
+                    let solver = Solver { formulation: form, ..*solver };
+                    let measurement = Measurement { gpu, key: key.clone(), solver, options };
+                    cases.push(Case::new("solve", key, move |run| measurement.measure(run, formulation)));
                 }
             }
         }
@@ -199,11 +201,12 @@ trait DeviceSystem {
     /// Restores the right-hand sides, which a solve replaces.
     fn prepare(&self) {}
     /// Sets the system up and solves it.
-    fn solve(&self, gpu: &Gpu) -> Result<Solved, Error>;
+    fn set_up_and_solve(&self, gpu: &Gpu) -> Result<Solved, Error>;
     fn buffers(&self) -> &SolverBuffers;
-    fn solid_nodes(&self) -> usize;
-    /// Least memory traffic of the solve, B.
-    fn bytes(&self, pressure: &SolveBytes, solved: &Solved) -> f64;
+    /// Degree of the solids' polynomial.
+    fn degree(&self) -> u32 {
+        0
+    }
 }
 
 /// The pressure system of the base block on the device.
@@ -238,7 +241,7 @@ impl Block {
 }
 
 impl DeviceSystem for Block {
-    fn solve(&self, gpu: &Gpu) -> Result<Solved, Error> {
+    fn set_up_and_solve(&self, gpu: &Gpu) -> Result<Solved, Error> {
         let mut recorder = Recorder::new(gpu);
         let within = self.everywhere.within();
         recorder.stage(Stage::ActiveCells.name(), |pass| self.system.record(pass, &self.buffers, within));
@@ -249,60 +252,30 @@ impl DeviceSystem for Block {
     fn buffers(&self) -> &SolverBuffers {
         &self.buffers
     }
-
-    fn solid_nodes(&self) -> usize {
-        0
-    }
-
-    fn bytes(&self, pressure: &SolveBytes, _: &Solved) -> f64 {
-        pressure.pressure()
-    }
 }
 
-/// The coupled system of the base scene on the device.
-struct Coupled<'a> {
-    device: DeviceScene<'a>,
-    system: &'a CoupledSystem,
-    solids: &'a Solids,
-}
-
-impl DeviceSystem for Coupled<'_> {
+impl DeviceSystem for DeviceScene<'_> {
     fn prepare(&self) {
-        self.device.reset();
+        self.reset();
     }
 
-    fn solve(&self, _: &Gpu) -> Result<Solved, Error> {
-        let outcome = self.device.solve()?;
+    fn set_up_and_solve(&self, _: &Gpu) -> Result<Solved, Error> {
+        let outcome = self.solve()?;
         Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: outcome.condensed })
     }
 
     fn buffers(&self) -> &SolverBuffers {
-        &self.device.liquid
+        &self.liquid
     }
 
-    fn solid_nodes(&self) -> usize {
-        self.solids.rest.len()
-    }
-
-    fn bytes(&self, pressure: &SolveBytes, solved: &Solved) -> f64 {
-        let corrections = match solved.condensed {
-            true => {
-                let nodes = self.system.coupling.pairs().iter().map(|pair| pair.node);
-                let wet_nodes = nodes.collect::<BTreeSet<usize>>().len();
-                Corrections::Condensed { wet_nodes }
-            }
-            false => Corrections::TwoField { degree: self.device.polynomial.degree as usize },
-        };
-        let [inner, outer] = pressure.widths.map(|bytes| bytes as usize);
-        let solids = SolidBytes::new(self.solids, [outer, inner]);
-        pressure.coupled(&solids, corrections)
+    fn degree(&self) -> u32 {
+        self.polynomial.degree
     }
 }
 
-/// A reference solver and its system.
-struct Reference<'a> {
+/// A reference solver of a system.
+struct Reference {
     solver: ReferenceSolver,
-    system: Assembled<'a>,
     settings: Solver,
     rows: usize,
     entries: Option<usize>,
@@ -311,34 +284,23 @@ struct Reference<'a> {
     note: String,
 }
 
-impl<'a> Reference<'a> {
-    fn new(solver: ReferenceSolver, system: Assembled<'a>, settings: &Solver, largest: f64) -> Result<Self, Error> {
-        let mut reference = Reference {
-            solver,
-            system,
-            settings: *settings,
-            rows: system.n_pressures(),
-            entries: None,
-            factor_bytes: None,
-            note: String::new(),
-        };
+impl Reference {
+    fn new(solver: ReferenceSolver, system: Assembled, settings: &Solver, largest: f64) -> Result<Self, Error> {
+        let (mut rows, mut entries, mut factor_bytes) = (system.n_pressures(), None, None);
         if solver != ReferenceSolver::Multigrid {
             let matrix = system.definite().matrix()?;
-            let entries = match solver {
+            let factor_entries = match solver {
                 ReferenceSolver::Cholesky => SymbolicCholesky::new(&matrix)?.n_factor_entries(),
                 _ => matrix.n_entries(),
             };
-            let bytes = 8.0 * entries as f64;
-            reference.rows = matrix.n_rows();
-            reference.entries = Some(matrix.n_entries());
-            reference.factor_bytes = Some(bytes);
-            if bytes > largest {
-                reference.note = format!("factor of {:.1} GiB left out", bytes / GIB);
-            }
+            (rows, entries) = (matrix.n_rows(), Some(matrix.n_entries()));
+            factor_bytes = Some(8.0 * factor_entries as f64);
         }
+        let too_large = factor_bytes.filter(|bytes| *bytes > largest);
+        let note = too_large.map_or(String::new(), |bytes| format!("factor of {:.1} GiB left out", bytes / GIB));
         // The device's limit of iterations does not apply.
-        reference.settings.max_iterations = (10 * reference.rows) as u32;
-        Ok(reference)
+        let settings = Solver { max_iterations: (10 * rows) as u32, ..*settings };
+        Ok(Reference { solver, settings, rows, entries, factor_bytes, note })
     }
 
     /// Columns of `solve_against`. `status`: that of the device.
@@ -372,96 +334,72 @@ type Outcome = Timed<(Option<Ended>, Traffic)>;
 /// A system to measure.
 struct Measurement<'a> {
     gpu: &'a Gpu,
-    key: &'a Row,
-    solver: &'a Solver,
+    /// Identity of the system.
+    key: Row,
+    solver: Solver,
     options: &'a Options,
 }
 
-/// Rows of a system: of the device and of each reference solver.
-fn system(
-    gpu: &Gpu,
-    run: &mut Run,
-    formulation: Formulation,
-    key: &Row,
-    solver: &Solver,
-    options: &Options,
-) -> Result<Rows, Error> {
-    let solver = &Solver {
-        formulation: match formulation {
-            Formulation::Condensed => scene::Formulation::Condensed,
-            Formulation::Pressure | Formulation::TwoField => scene::Formulation::TwoField,
-        },
-        ..*solver
-    };
-    let measurement = Measurement { gpu, key, solver, options };
-    let (grid, allocated) = (key.count("grid"), device_bytes(gpu));
-    if formulation == Formulation::Pressure {
-        let block = BaseBlock::new(grid);
-        let system = block.pressure_system();
-        let device = Block::new(gpu, &block, &system.rhs, solver)?;
-        return measurement.rows(run, Assembled::Pressure(&system), &device, allocated);
+impl Measurement<'_> {
+    /// Rows of a system: of the device and of each reference solver.
+    fn measure(&self, run: &mut Run, formulation: Formulation) -> Result<Rows, Error> {
+        let Measurement { gpu, key, solver, .. } = self;
+        let (grid, allocated) = (key.count("grid"), allocated_bytes(gpu));
+        if formulation == Formulation::Pressure {
+            let block = BaseBlock::new(grid);
+            let system = block.pressure_system();
+            let device = Block::new(gpu, &block, &system.rhs, solver)?;
+            return self.rows(run, Assembled::Pressure(&system), &device, allocated);
+        }
+        let across = match key.count("bricks") {
+            0 => bricks_across(grid),
+            bricks => bricks,
+        };
+        let beam = BaseBeam { bricks: [across, across, 7 * across], ..BaseBeam::default() };
+        let scene = BaseScene::new(grid, &beam)?;
+        let system = scene.coupled_system();
+        let device = DeviceScene::new(gpu, &scene, &system, solver)?;
+        self.rows(run, Assembled::Both(&system, &scene.solids), &device, allocated)
     }
-    let across = match key.count("bricks") {
-        0 => bricks_across(grid),
-        bricks => bricks,
-    };
-    let beam = BaseBeam { bricks: [across, across, 7 * across], ..BaseBeam::default() };
-    let scene = BaseScene::new(grid, &beam)?;
-    let (system, solids) = (&scene.coupled_system(), &scene.solids);
-    let device = Coupled { device: DeviceScene::new(gpu, &scene, system, solver)?, system, solids };
-    measurement.rows(run, Assembled::Both(system, solids), &device, allocated)
-}
 
-impl<'a> Measurement<'a> {
     /// Solves on the device and with the reference solvers, in rounds. `allocated`: bytes of the device before the system.
-    fn rows(
-        &self,
-        run: &mut Run,
-        system: Assembled<'a>,
-        device: &dyn DeviceSystem,
-        allocated: u64,
-    ) -> Result<Rows, Error> {
-        let Measurement { gpu, key, solver, options } = *self;
+    fn rows(&self, run: &mut Run, system: Assembled, device: &dyn DeviceSystem, allocated: u64) -> Result<Rows, Error> {
+        let Measurement { gpu, key, solver, options } = self;
         let references = options.against.iter();
-        let references = references
-            .map(|&other| Reference::new(other, system, solver, options.largest_factor))
-            .collect::<Result<Vec<_>, _>>()?;
-        let solving = references.iter().filter(|other| other.note.is_empty());
-        let solving: Vec<&Reference> = solving.collect();
+        let references = references.map(|&other| Reference::new(other, system, solver, options.largest_factor));
+        let references = references.collect::<Result<Vec<_>, _>>()?;
+        let solving: Vec<&Reference> = references.iter().filter(|other| other.note.is_empty()).collect();
         let what = format!("grid {} {}", key.count("grid"), key.text("formulation"));
         // The first compiles.
         device.prepare();
-        let solved = device.solve(gpu)?;
+        let solved = device.set_up_and_solve(gpu)?;
         let mut idle = Vec::new();
-        let jobs = 1 + solving.len();
-        let timed = rounds(run, &format!("solves of {what}"), jobs, |job| {
+        let timed = rounds(run, &format!("solves of {what}"), 1 + solving.len(), |job| {
             device.prepare();
             gpu.wait("bench")?;
             let (before, clock) = (gpu.traffic(), Instant::now());
             if let Some(reference) = job.checked_sub(1).map(|job| solving[job]) {
-                let reports = reference.system.solve(reference.solver, &reference.settings)?;
-                let ended = reports.map(|reports| Ended::new(&reports));
+                let ended = system.solve(reference.solver, &reference.settings)?.map(|reports| Ended::new(&reports));
                 return Ok((clock.elapsed().as_secs_f64(), (ended, Traffic::default())));
             }
-            let again = device.solve(gpu)?;
+            let again = device.set_up_and_solve(gpu)?;
             let seconds = clock.elapsed().as_secs_f64();
             solved.ended.ensure_repeated(again.ended, &what)?;
             let traffic = gpu.traffic().since(before);
             idle.push(traffic.idle_seconds);
             Ok((seconds, (Some(again.ended), traffic)))
         })?;
-        let sizes = row! { active_cells: system.n_pressures(), solid_nodes: device.solid_nodes() };
+        let key = key.clone().with(row! { active_cells: system.n_pressures(), solid_nodes: system.n_nodes() });
         let status = solved.ended.name(solver.tolerance);
         let own = row! {
-            status: status, idle_seconds: Spread::of(idle).median, device_bytes: device_bytes(gpu) - allocated,
+            status: status, idle_seconds: Spread::of(idle).median, device_bytes: allocated_bytes(gpu) - allocated,
         };
-        let (machine, own) = (&run.results.machine, key.clone().with(sizes.clone()).with(own));
-        let mut rows = vec![("solve", own.with(self.device_row(machine, system, device, &solved, &timed[0])?))];
+        let solves = self.device_row(&run.results.machine, system, device, &solved, &timed[0])?;
+        let mut rows = vec![("solve", key.clone().with(own).with(solves))];
         let mut others = timed[1..].iter();
         for reference in &references {
             let own = reference.note.is_empty().then(|| others.next()).flatten();
-            let row = reference.row(own, &timed[0], status);
-            rows.push(("solve_against", key.clone().with(sizes.clone()).with(row)));
+            rows.push(("solve_against", key.clone().with(reference.row(own, &timed[0], status))));
         }
         Ok(rows)
     }
@@ -485,7 +423,18 @@ impl<'a> Measurement<'a> {
             widths: [buffers.variant.inner, buffers.variant.real].map(|real| real.bytes() as f64),
             preconditioner: self.solver.preconditioner,
         };
-        let bytes = pressure.set_up() + device.bytes(&pressure, solved);
+        let coupled = match system {
+            Assembled::Pressure(_) => None,
+            Assembled::Both(coupled, solids) => {
+                let wet_nodes = || coupled.coupling.pairs().iter().map(|pair| pair.node).collect::<BTreeSet<_>>().len();
+                let corrections = match solved.condensed {
+                    true => Corrections::Condensed { wet_nodes: wet_nodes() },
+                    false => Corrections::TwoField { degree: device.degree() },
+                };
+                Some((SolidBytes::new(solids, pressure.widths), corrections))
+            }
+        };
+        let bytes = pressure.total(coupled);
         let (seconds, (_, traffic)) = (timed.spread(), &timed.outcome);
         Ok(row! {
             iterations: iterations, rounds: solved.refinements, runs: timed.runs(), seconds: seconds, residual_p: residuals[0],
@@ -494,11 +443,6 @@ impl<'a> Measurement<'a> {
             dispatches: traffic.dispatches, bytes_up: traffic.bytes_up, bytes_down: traffic.bytes_down,
         })
     }
-}
-
-/// Bytes of all buffers so far.
-fn device_bytes(gpu: &Gpu) -> u64 {
-    gpu.allocated().iter().map(|(_, bytes)| bytes).sum()
 }
 
 /// Share of the active quads that are not uniform.
@@ -514,15 +458,13 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
 pub fn derive(tables: &mut [Table]) {
     let sizes = ["grid", "bricks", "active_cells", "solid_nodes", "formulation", "seconds", "iterations"];
     let sample = |row: &Row, solver: &str, precision: &str, runs: &str| {
-        let columns = row! { solver: row.get(solver), precision: precision, runs: row.get(runs) };
-        row.only(&sizes).with(columns)
+        row.only(&sizes).with(row! { solver: row.get(solver), precision: precision, runs: row.get(runs) })
     };
     let converged = |row: &&Row| row.text("status") == SolveStatus::Converged.name();
     let device = rows(tables, "solve").iter().filter(converged);
     let device = device.map(|row| sample(row, "preconditioner", row.text("precision"), "runs"));
     let others = rows(tables, "solve_against").iter().filter(converged);
-    let others = others.map(|row| sample(row, "rival", "f64", "turns"));
-    let samples: Vec<Row> = device.chain(others).collect();
+    let samples: Vec<Row> = device.chain(others.map(|row| sample(row, "rival", "f64", "turns"))).collect();
     let series = |row: &Row| row.only(&["formulation", "solver", "precision"]);
     // Per beam, the grid closest to the thesis's cells per brick: there both are refined together.
     let off = |row: &Row| {
@@ -564,13 +506,8 @@ fn draw(results: &Results) -> Page {
     let device = |row: &Row| row.join(&["formulation", "preconditioner", "precision"]) + &beam(row);
     let other = |row: &Row| format!("{} on the CPU{}", row.join(&["formulation", "rival"]), beam(row));
     let point = ["active_cells", "seconds"];
-    let mut all = lines(results.rows("solve"), device, at(point));
-    all.extend(lines(results.rows("solve_against"), other, at(point)));
-    let chart = Chart {
-        title: format!("Solve, {}", results.machine.name()),
-        axes: ["active cells", "seconds"],
-        lines: all,
-        falling: false,
-    };
-    Page::Charts(1, vec![chart])
+    let mut all = lines(results.rows("solve"), device, point);
+    all.extend(lines(results.rows("solve_against"), other, point));
+    let title = format!("Solve, {}", results.machine.name());
+    Page::Charts(1, vec![Chart { title, axes: ["active cells", "seconds"], lines: all, falling: false }])
 }

@@ -75,9 +75,7 @@ impl Options {
     /// [`Error::Input`] with similar names.
     pub fn check(&self, names: &[String]) -> Result<(), Error> {
         let known = |part: &str| !part.is_empty() && names.iter().any(|name| name.contains(part));
-        let Some(part) = self.cases.iter().find(|part| !known(part)) else {
-            return Ok(());
-        };
+        let Some(part) = self.cases.iter().find(|part| !known(part)) else { return Ok(()) };
         // Distance to the whole name and to its words.
         let distance =
             |name: &&str| name.split('_').chain([*name]).map(|word| strsim::damerau_levenshtein(part, word)).min();
@@ -143,8 +141,7 @@ columns! {
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let mut cases = cases(options.steps, options.scale)?;
     let limits = limits();
-    let names = limits.iter().map(Limit::name);
-    let names = names.chain(cases.iter().map(|case| case.name.clone()));
+    let names = limits.iter().map(Limit::name).chain(cases.iter().map(|case| case.name.clone()));
     options.check(&names.collect::<Vec<_>>())?;
     let bench = Bench {
         name: "stability",
@@ -181,30 +178,22 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
 
 /// Runs the selected cases of the limit of added mass.
 fn run_limits(run: &mut Run, limits: &[Limit], options: &Options) -> Result<(), Error> {
-    let selected = limits.iter().filter(|limit| options.selects(&limit.name()));
-    let cases = selected.map(|limit| {
-        BenchCase::new("stability_limit", row! { name: limit.name() }, |_| {
-            Ok(vec![("stability_limit", limit.run(&options.backend)?)])
-        })
+    let table = "stability_limit";
+    let cases = limits.iter().filter(|limit| options.selects(&limit.name())).map(|limit| {
+        BenchCase::new(table, row! { name: limit.name() }, |_| Ok(vec![(table, limit.run(&options.backend)?)]))
     });
     run.cases(cases.collect())?;
-    let pairs = limit::step_lengths(run.results.rows("stability_limit")).into_iter();
-    let pairs: Vec<_> = pairs.map(|row| ("stability_limit", row)).collect();
-    match pairs.is_empty() {
-        true => Ok(()),
-        false => run.put(pairs),
-    }
+    let pairs = limit::step_lengths(run.results.rows(table));
+    if pairs.is_empty() { Ok(()) } else { run.put(pairs.into_iter().map(|row| (table, row)).collect()) }
 }
 
 /// A line per failed case.
 fn failures(results: &Results, cases: &[Case]) -> Vec<String> {
     let failed = |name| results.rows(name).iter().filter(|row| !row.flag("passed"));
     let hostile = failed("stability").map(|row| {
-        let name = row.text("name");
-        let case = cases.iter().find(|case| case.name == name);
-        let cause = case.and_then(|case| case.known_failure.as_ref());
+        let [name, status, expected] = ["name", "status", "expected"].map(|name| row.text(name));
+        let cause = cases.iter().find(|case| case.name == name).and_then(|case| case.known_failure.as_ref());
         let known = cause.map_or(String::new(), |cause| format!(" (known: {cause})"));
-        let [status, expected] = ["status", "expected"].map(|name| row.text(name));
         format!("{name}: {status} where it {expected}{known}")
     });
     let limits = failed("stability_limit").map(|row| {
@@ -248,8 +237,7 @@ fn run_all(cases: &[Case], backend: &Backend, mut take: impl FnMut(Row) -> Resul
 /// Sorts the rows in the order of the cases.
 fn sort(tables: &mut [Table]) {
     let cases = cases(1, 1.0).unwrap_or_default();
-    let place = |row: &Row| cases.iter().position(|case| case.name == row.text("name"));
-    tables[0].rows.sort_by_key(place);
+    tables[0].rows.sort_by_key(|row: &Row| cases.iter().position(|case| case.name == row.text("name")));
 }
 
 /// Whether a row has no failure.
@@ -273,8 +261,7 @@ fn fail_step(row: &mut Row, problem: String) {
 /// Largest mean growth of a speed per sub-step within `GROWTH_STEPS`, from energies that were at least `GROWTH_FROM`.
 pub fn growth(energies: &[f64]) -> Option<f64> {
     let after = |at: usize| {
-        let later = energies[at + 1..].iter().take(GROWTH_STEPS);
-        let grown = later.copied().reduce(f64::max)? / energies[at];
+        let grown = energies[at + 1..].iter().take(GROWTH_STEPS).copied().reduce(f64::max)? / energies[at];
         (energies[at] >= GROWTH_FROM).then(|| grown.powf(0.5 / GROWTH_STEPS as f64))
     };
     (0..energies.len()).filter_map(after).reduce(f64::max)
@@ -289,28 +276,22 @@ pub fn lost(missing: &[f64]) -> f64 {
 /// Diagnosis of a state of the solids.
 pub fn solid_diagnosis(solids: &Solids, state: &State, gravity: DVec3) -> SolidDiagnosis {
     let (displacement, velocity) = (&state.displacement, &state.node_velocity);
-    let elements = 0..solids.elements.len();
-    let deformations: Vec<_> = elements.map(|element| solids.deformation(element, displacement)).collect();
+    let deformation = |element| solids.deformation(element, displacement);
+    let deformations: Vec<_> = (0..solids.elements.len()).map(deformation).collect();
     diagnose_solid(solids, &deformations, displacement, velocity, gravity)
 }
 
 /// Number of values that are not finite.
 fn non_finite(state: &State, report: &StepReport) -> usize {
-    let nodes = [&state.markers, &state.displacement, &state.node_velocity];
-    let nodes = nodes.into_iter().flat_map(|list| list.as_flattened());
-    let cells = state.pressure.iter().chain(&state.liquid_distance);
-    let fields = state.velocity.iter().flatten().chain(nodes).chain(cells);
-    let liquid = report.liquid.map(|liquid| {
-        let it = liquid.diagnosis;
-        [it.volume, it.kinetic_energy, it.max_speed, it.divergence]
-    });
-    let solids = report.solid.map(|solid| {
-        let it = solid.diagnosis;
-        [it.kinetic_energy, it.elastic_energy, it.max_speed, it.min_det]
-    });
+    let vectors = [&state.markers, &state.displacement, &state.node_velocity].map(|list| list.as_flattened());
+    let cells = [&state.pressure[..], &state.liquid_distance];
+    let fields = state.velocity.iter().map(|list| &list[..]).chain(vectors).chain(cells).flatten();
+    let liquid = report.liquid.map(|liquid| liquid.diagnosis);
+    let liquid = liquid.map(|it| [it.volume, it.kinetic_energy, it.max_speed, it.divergence]);
+    let solids = report.solid.map(|solid| solid.diagnosis);
+    let solids = solids.map(|it| [it.kinetic_energy, it.elastic_energy, it.max_speed, it.min_det]);
     let diagnoses = liquid.into_iter().chain(solids).flatten();
-    let all = fields.copied().chain(diagnoses);
-    all.filter(|value| !value.is_finite()).count()
+    fields.copied().chain(diagnoses).filter(|value| !value.is_finite()).count()
 }
 
 impl Case {
@@ -321,13 +302,10 @@ impl Case {
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         let clock = Instant::now();
         let mut row = self.row(backend);
-        let ended = self.scene().and_then(|scene| simulate(&scene, backend, &mut row));
-        match ended {
+        match self.scene().and_then(|scene| simulate(&scene, backend, &mut row)) {
             // No case can run then.
             Err(error @ Error::Adapter { .. }) => return Err(error),
-            Err(error) if row.count("sub_steps") == 0 => {
-                fail(&mut row, format!("does not start: {error}"));
-            }
+            Err(error) if row.count("sub_steps") == 0 => fail(&mut row, format!("does not start: {error}")),
             Err(error) => fail(&mut row, error.to_string()),
             Ok(()) => {}
         }
@@ -363,8 +341,7 @@ pub fn count(row: &mut Row, missed: bool, unsettled: bool) {
     for ((name, problem, _), counts) in MISSES.into_iter().zip([missed, unsettled]) {
         row.set(name, row.count(name) + usize::from(counts));
         if row.count(name) > most {
-            let problem = format!("more than {percent} % of the sub-steps {problem}");
-            fail_step(row, problem);
+            fail_step(row, format!("more than {percent} % of the sub-steps {problem}"));
         }
     }
 }
@@ -399,25 +376,17 @@ pub fn check(row: &mut Row, moment: &Moment, budget: &Budget, dt: f64) {
     let ratio = moment.energy() / budget.energy;
     row.set("energy_end", ratio);
     raise(row, "elastic_ratio", moment.elastic / budget.energy);
-    let (motion, solid, liquid) = (moment.motion(), moment.solid_speed, moment.liquid_speed);
-    let energies = [
-        ("energy_ratio", "energy_bound", "energy", "times that of the start"),
-        ("motion", "motion_bound", "energy of motion and strain", "J"),
-        ("solid_speed", "solid_speed_bound", "speed of a node", "m/s"),
-        ("liquid_speed", "liquid_speed_bound", "speed of the liquid", "m/s"),
-    ];
     let numbers = [
-        (ratio, budget.energy_bound(dt)),
-        (motion, budget.motion_bound(dt)),
-        (solid, budget.solid_speed_bound(dt)),
-        (liquid, budget.liquid_speed_bound(dt)),
+        (["energy_ratio", "energy_bound", "energy", "times that of the start"], ratio),
+        (["motion", "motion_bound", "energy of motion and strain", "J"], moment.motion()),
+        (["solid_speed", "solid_speed_bound", "speed of a node", "m/s"], moment.solid_speed),
+        (["liquid_speed", "liquid_speed_bound", "speed of the liquid", "m/s"], moment.liquid_speed),
     ];
-    for ((name, bound_name, what, unit), (value, bound)) in energies.into_iter().zip(numbers) {
+    for (([name, bound_name, what, unit], value), bound) in numbers.into_iter().zip(budget.bounds(dt)) {
         raise(row, name, value);
         row.set(bound_name, bound);
         if value > bound {
-            let problem = format!("{what} above its bound, {value:.3} {unit} where {bound:.3} are the most");
-            fail_step(row, problem);
+            fail_step(row, format!("{what} above its bound, {value:.3} {unit} where {bound:.3} are the most"));
         }
     }
 }
@@ -468,7 +437,7 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         let liquid = report.liquid.map(|liquid| liquid.diagnosis);
         let moment = budget.moment(&liquid.unwrap_or_default(), &solid.diagnosis);
         check(row, &moment, &budget, longest);
-        energies.push(moment.solids() / budget.energy);
+        energies.push(moment.solids / budget.energy);
         if row.has("deflection") {
             row.set("growth", growth(&energies));
         }
@@ -490,15 +459,12 @@ fn check_lost(row: &mut Row, lost: f64) {
 
 /// Records missed tolerances, unsettled contacts, overlaps and iterations of a sub-step.
 fn record_counts(row: &mut Row, scene: &Scene, report: &StepReport) {
-    let mut solves = report.solves();
-    let missed = solves.any(|solve| solve.status != SolveStatus::Converged);
-    let contacts = report.solid.map(|solid| solid.contact.unsettled);
-    count(row, missed, contacts.is_some_and(|unsettled| unsettled > 0));
+    let missed = report.solves().any(|solve| solve.status != SolveStatus::Converged);
+    count(row, missed, report.solid.is_some_and(|solid| solid.contact.unsettled > 0));
     if let Some(coupling) = report.coupling {
         raise(row, "overlap", coupling.overlap_depth / scene.grid().dx);
     }
-    let iterations = report.solves().map(|solve| solve.iterations as usize);
-    let most = iterations.max().unwrap_or(0);
+    let most = report.solves().map(|solve| solve.iterations as usize).max().unwrap_or(0);
     if most > row.count("most_iterations") {
         row.set("most_iterations", most);
     }
@@ -511,19 +477,14 @@ fn draw(results: &Results) -> Page {
         let energy = (row.number("energy_ratio") - 1.0) / (row.number("energy_bound") - 1.0);
         let shares = ["motion", "solid_speed", "liquid_speed"].map(share);
         let most = shares.into_iter().fold(energy, f64::max).clamp(0.0, 2.0);
-        let clean = row.count("missed") + row.count("unsettled") == 0;
-        let verdict = match (row.flag("passed"), clean) {
-            (true, true) => "passes",
-            (true, false) => "passes, some sub-steps missed a tolerance",
+        let verdict = match (row.flag("passed"), row.count("missed") + row.count("unsettled")) {
+            (true, 0) => "passes",
+            (true, _) => "passes, some sub-steps missed a tolerance",
             (false, _) => "fails",
         };
-        let part = (verdict.to_owned(), 0.0, most);
-        (row.text("name").to_owned(), vec![part], 1.0)
+        (row.text("name").to_owned(), vec![(verdict.to_owned(), 0.0, most)], 1.0)
     });
-    Page::Bars(vec![Bars {
-        title: format!("Stability, {}", results.machine.name()),
-        axis: "largest energy or speed over its bound, to 2",
-        bars: bars.collect(),
-        key: true,
-    }])
+    let title = format!("Stability, {}", results.machine.name());
+    let axis = "largest energy or speed over its bound, to 2";
+    Page::Bars(vec![Bars { title, axis, bars: bars.collect(), key: true }])
 }

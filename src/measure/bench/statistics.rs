@@ -32,9 +32,7 @@ impl Spread {
 
     /// Spread of the values times a factor above 0.
     pub fn times(self, factor: f64) -> Spread {
-        let Spread { median, min, max } = self;
-        let [median, min, max] = [median, min, max].map(|value| factor * value);
-        Spread { median, min, max }
+        Spread { median: factor * self.median, min: factor * self.min, max: factor * self.max }
     }
 
     /// Sum with another spread.
@@ -59,8 +57,7 @@ impl Spread {
 
 /// Exponent e of y ~ x^e through points, by least squares of the logarithms. `None` where all x are equal, or a coordinate is not above 0.
 pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
-    let points = points.into_iter();
-    let points: Vec<[f64; 2]> = points.map(|(x, y)| [x.ln(), y.ln()]).collect();
+    let points: Vec<[f64; 2]> = points.into_iter().map(|(x, y)| [x.ln(), y.ln()]).collect();
     let same = points.iter().all(|point| point[0] == points[0][0]);
     if same || !points.as_flattened().iter().all(|ln| ln.is_finite()) {
         return None;

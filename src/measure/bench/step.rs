@@ -11,11 +11,14 @@ use super::chart::{Bars, Page};
 use super::statistics::{Spread, grouped};
 use super::sub_step::stage_seconds;
 use super::table::{Row, Table, Value, columns, row};
-use super::{Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, growth, replace, rows};
+use super::{
+    Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, allocated_bytes, growth, hashes, replace,
+    rows,
+};
 use crate::Error;
 use crate::gpu::{AdapterChoice, Gpu, Trace, Traffic};
 use crate::sim::{Backend, GpuPath, Simulation};
-use crate::state::{LiquidReport, SolidReport, StepReport};
+use crate::state::{SolveReport, StepReport};
 use crate::step::Stage;
 
 pub use sizes::{Case, largest, largest_scale, units};
@@ -92,12 +95,10 @@ fn bench() -> Bench {
 /// [`Error::Output`]; [`Error::Check`] where the runs of a scene differ; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     if options.scenes.is_empty() {
-        let cure = "give one scene file or more";
-        return Err(Error::input("bench step", "no scene to measure", cure));
+        return Err(Error::input("bench step", "no scene to measure", "give one scene file or more"));
     }
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
-    let scenes = options.scenes.iter().map(|case| case.scene.hash.as_str());
-    let request = (scenes.collect::<Vec<_>>(), options.frames);
+    let request = (hashes(options.scenes.iter().map(|case| &case.scene)), options.frames);
     let mut run = Run::start(bench(), machine, &request, settings, listener)?;
     // Scenes without all their runs are measured again.
     let repeats = settings.repeats.max(1);
@@ -122,18 +123,12 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
 /// Measurements of a scene.
 struct Record<'a> {
     case: &'a Case,
-    device: Option<Device>,
+    /// Columns of the solids and of the bytes of all buffers, at the start of the last run.
+    sizes: Row,
+    /// Whether the device has timestamps.
+    timestamps: bool,
     /// Sub-steps of each run, without the first of each kind.
     repeats: Vec<Vec<Sample>>,
-}
-
-/// Numbers of a scene on a device.
-struct Device {
-    nodes: usize,
-    elements: usize,
-    timestamps: bool,
-    /// Bytes of all buffers.
-    bytes: u64,
 }
 
 /// One sub-step.
@@ -150,26 +145,11 @@ impl Sample {
         self.report.coupling.is_some_and(|both| both.touching)
     }
 
-    /// 0 without liquid.
-    fn liquid(&self, number: fn(LiquidReport) -> f64) -> f64 {
-        self.report.liquid.map_or(0.0, number)
-    }
-
-    /// 0 without solids.
-    fn solid(&self, number: fn(SolidReport) -> f64) -> f64 {
-        self.report.solid.map_or(0.0, number)
-    }
-
-    fn unknowns(&self) -> f64 {
-        self.liquid(|liquid| liquid.solve.unknowns as f64)
-    }
-
-    fn iterations(&self) -> f64 {
-        self.liquid(|liquid| f64::from(liquid.solve.iterations))
-    }
-
-    fn solid_iterations(&self) -> f64 {
-        self.solid(|solid| f64::from(solid.solve.iterations))
+    /// Unknowns and iterations of the pressure, and of the solids; 0 without liquid or solids.
+    fn solves(&self) -> [[f64; 2]; 2] {
+        let numbers = |solve: SolveReport| [solve.unknowns as f64, f64::from(solve.iterations)];
+        let StepReport { liquid, solid, .. } = &self.report;
+        [liquid.map_or([0.0; 2], |liquid| numbers(liquid.solve)), solid.map_or([0.0; 2], |solid| numbers(solid.solve))]
     }
 }
 
@@ -177,34 +157,24 @@ fn path_of(simulation: &Simulation) -> &GpuPath {
     simulation.gpu_path().expect("benches run on the GPU path")
 }
 
-impl Device {
-    fn new(simulation: &Simulation) -> Device {
-        let (gpu, solids) = (path_of(simulation).gpu(), simulation.solids());
-        Device {
-            nodes: solids.rest.len(),
-            elements: solids.elements.len(),
-            timestamps: gpu.report().timestamps,
-            bytes: gpu.allocated().iter().map(|(_, bytes)| bytes).sum(),
-        }
-    }
-}
-
 impl<'a> Record<'a> {
     fn new(case: &'a Case) -> Record<'a> {
-        Record { case, device: None, repeats: Vec::new() }
+        Record { case, sizes: Row::default(), timestamps: false, repeats: Vec::new() }
     }
 
     /// Seconds of all runs.
     fn seconds(&self) -> f64 {
-        let samples = self.repeats.iter().flatten();
-        samples.map(|sample| sample.seconds).sum()
+        self.repeats.iter().flatten().map(|sample| sample.seconds).sum()
     }
 
     /// Another run from the scene's start. Its simulation is dropped at the end: all scenes together may exceed the memory.
     fn run(&mut self, options: &Options) -> Result<(), Error> {
-        let scene = &self.case.scene;
-        let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
-        self.device.get_or_insert_with(|| Device::new(&simulation));
+        let mut simulation = Simulation::new(&self.case.scene, &Backend::Gpu(options.adapter.clone()))?;
+        let (gpu, solids) = (path_of(&simulation).gpu(), simulation.solids());
+        self.timestamps = gpu.report().timestamps;
+        self.sizes = row! {
+            nodes: solids.rest.len(), elements: solids.elements.len(), device_bytes: allocated_bytes(gpu),
+        };
         let (mut samples, mut kinds) = (Vec::new(), [false; 2]);
         while simulation.clock().frame < options.frames {
             let gpu = path_of(&simulation).gpu();
@@ -239,9 +209,7 @@ impl<'a> Record<'a> {
 
     /// Refuses a run with other sub-steps than the first: rows compare them one by one.
     fn ensure_repeated(&self) -> Result<(), Error> {
-        let [first, .., again] = &self.repeats[..] else {
-            return Ok(());
-        };
+        let [first, .., again] = &self.repeats[..] else { return Ok(()) };
         let kinds = |repeat: &[Sample]| repeat.iter().map(Sample::touching).collect::<Vec<_>>();
         if kinds(first) == kinds(again) {
             return Ok(());
@@ -259,37 +227,32 @@ impl<'a> Record<'a> {
     /// Rows of each kind of sub-steps, and of its stages.
     fn rows(&self) -> Rows {
         let mut rows = Vec::new();
-        for touching in [false, true] {
-            let kind = |sample: &&Sample| sample.touching() == touching;
-            let repeats = self.repeats.iter();
-            let repeats = repeats.map(|repeat| repeat.iter().filter(kind).collect());
-            let repeats: Vec<Vec<&Sample>> = repeats.collect();
-            if let (Some(device), false) = (&self.device, repeats[0].is_empty()) {
-                rows.extend(self.kind_rows(device, touching, &repeats));
+        for (kind, touching) in [("apart", false), ("touching", true)] {
+            let of_kind = |sample: &&Sample| sample.touching() == touching;
+            let repeats: Vec<Vec<&Sample>> =
+                self.repeats.iter().map(|repeat| repeat.iter().filter(of_kind).collect()).collect();
+            if !repeats[0].is_empty() {
+                rows.extend(self.kind_rows(kind, &repeats));
             }
         }
         rows
     }
 
     /// Rows of the sub-steps of a kind in each run. Numbers other than seconds are the same in all runs.
-    fn kind_rows(&self, device: &Device, touching: bool, repeats: &[Vec<&Sample>]) -> Rows {
+    fn kind_rows(&self, kind: &str, repeats: &[Vec<&Sample>]) -> Rows {
         let first = &repeats[0];
         let mean = |value: &dyn Fn(&Sample) -> f64| mean(first, value);
         let seconds = over_repeats(repeats, &|sample| sample.seconds);
-        let sub_step = |n: usize| {
-            let runs = repeats.iter().map(|repeat| repeat[n].seconds);
-            Spread::of(runs.collect()).median
-        };
-        let kind = if touching { "touching" } else { "apart" };
+        let sub_step = |n: usize| Spread::of(repeats.iter().map(|repeat| repeat[n].seconds).collect()).median;
         let kind = self.case.key().with(row! { kind: kind });
-        let unknowns = mean(&Sample::unknowns);
+        let [[unknowns, iterations], [solid_unknowns, solid_iterations]] =
+            [0, 1].map(|part| [0, 1].map(|number| mean(&|sample| sample.solves()[part][number])));
         let last = first.last().and_then(|sample| sample.report.liquid);
         let sizes = row! {
-            cells: self.case.scene.grid().n_cells(), nodes: device.nodes, elements: device.elements, sub_steps: first.len(),
+            cells: self.case.scene.grid().n_cells(), sub_steps: first.len(),
             simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(), markers: last.map_or(0, |liquid| liquid.markers),
-            unknowns: unknowns, band_cells: mean(&|sample| sample.band_cells as f64), iterations: mean(&Sample::iterations),
-            solid_unknowns: mean(&|sample| sample.solid(|solid| solid.solve.unknowns as f64)),
-            solid_iterations: mean(&Sample::solid_iterations), runs: repeats.len(), device_bytes: device.bytes,
+            unknowns: unknowns, band_cells: mean(&|sample| sample.band_cells as f64), iterations: iterations,
+            solid_unknowns: solid_unknowns, solid_iterations: solid_iterations, runs: repeats.len(),
         };
         let times = row! {
             seconds: seconds, sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
@@ -299,11 +262,11 @@ impl<'a> Record<'a> {
             bytes_down: mean(&|sample| sample.traffic.bytes_down as f64),
             idle_seconds: over_repeats(repeats, &|sample| sample.traffic.idle_seconds).median,
         };
-        let mut rows = vec![("step", kind.clone().with(sizes).with(times))];
+        let mut rows = vec![("step", kind.clone().with(self.sizes.clone()).with(sizes).with(times))];
         let names = first.iter().flat_map(|sample| &sample.report.seconds);
         for (stage, _) in grouped(names, |(stage, _)| Some(*stage)) {
             let seconds = over_repeats(repeats, &|sample| stage_seconds(&sample.report, &[stage]));
-            let place = match (stage == Stage::Clip.name(), device.timestamps) {
+            let place = match (stage == Stage::Clip.name(), self.timestamps) {
                 (false, _) => "device",
                 (true, true) => "host and device",
                 (true, false) => "host",
@@ -327,8 +290,7 @@ fn mean(samples: &[&Sample], value: &dyn Fn(&Sample) -> f64) -> f64 {
 
 /// Spread over the runs of their means.
 fn over_repeats(repeats: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spread {
-    let means = repeats.iter().map(|samples| mean(samples, value));
-    Spread::of(means.collect())
+    Spread::of(repeats.iter().map(|samples| mean(samples, value)).collect())
 }
 
 /// Growth with the grid, the solids' meshes, and both.
@@ -363,8 +325,7 @@ pub fn derive(tables: &mut [Table]) {
 
 /// Stages of each kind of sub-steps as bars, a mark at the seconds of the wall clock.
 fn draw(results: &Results) -> Page {
-    let scenes = grouped(results.rows("step"), |row| Some(row.text("scene")));
-    let lists = scenes.into_iter().map(|(scene, rows)| {
+    let lists = grouped(results.rows("step"), |row| Some(row.text("scene"))).into_iter().map(|(scene, rows)| {
         let bars = rows.into_iter().map(|row| {
             let key = row.only(&["scene", "scale", "solids_scale", "kind"]);
             let stages = results.rows("step_stages").iter();
@@ -381,12 +342,8 @@ fn draw(results: &Results) -> Page {
             };
             (name, parts.collect(), 1e3 * row.number("seconds_median"))
         });
-        Bars {
-            title: format!("{scene}: a sub-step, {}", results.machine.name()),
-            axis: "ms",
-            bars: bars.collect(),
-            key: true,
-        }
+        let title = format!("{scene}: a sub-step, {}", results.machine.name());
+        Bars { title, axis: "ms", bars: bars.collect(), key: true }
     });
     Page::Bars(lists.collect())
 }

@@ -43,10 +43,9 @@ impl Mask {
         let open = &path.cut_cells().open;
         let faces = Axis::ALL.map(|axis| {
             let counts = |face: usize| {
-                let sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter();
+                let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
                 // Without liquid no cell has an entry.
-                let active = |cell: usize| cells.get(cell).is_some_and(|active| *active);
-                let beside = sides.flatten().any(active);
+                let beside = sides.any(|cell| cells.get(cell).is_some_and(|active| *active));
                 beside && open[axis.index()][face] > 0.0
             };
             (0..grid.n_faces(axis)).map(counts).collect()
@@ -59,9 +58,6 @@ impl Mask {
 const BEFORE: [Stage; 2] = [Stage::Forces, Stage::LiquidDistance];
 
 /// GPU paths of a scene with several solvers, compiled by the sub-step after a state. Solvers in f64 are skipped where the adapter lacks it.
-///
-/// # Errors
-/// Errors of the simulation.
 pub(super) fn open_paths(
     scene: &Scene,
     solvers: impl IntoIterator<Item = Solver>,
@@ -128,8 +124,7 @@ pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
 
 /// Seconds of some stages of a sub-step.
 pub(super) fn stage_seconds(report: &StepReport, stages: &[&str]) -> f64 {
-    let seconds = report.seconds.iter();
-    seconds.filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
+    report.seconds.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
 }
 
 /// Largest errors of pressure (Pa), node velocity and face velocity (m/s) of a liquid and solids at rest; NaN if any value is.
@@ -142,11 +137,8 @@ pub(super) fn rest_errors(
 ) -> [f64; 3] {
     let grid = scene.grid();
     let cells = done.solution.pressure.iter().zip(&mask.cells).enumerate();
-    let off = cells.filter(|(_, (_, counts))| **counts);
-    let off = off.filter_map(|(cell, (p, _))| {
-        let exact = pressure(grid.cell_centre(grid.cell_at(cell)))?;
-        Some((p - exact).abs())
-    });
+    let exact = |cell| pressure(grid.cell_centre(grid.cell_at(cell)));
+    let off = cells.filter(|(_, (_, counts))| **counts).filter_map(|(cell, (p, _))| Some((p - exact(cell)?).abs()));
     let faces = done.faces.iter().flatten().zip(mask.faces.iter().flatten());
     let faces = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
     let nodes = done.solution.velocity.as_flattened().iter();

@@ -4,15 +4,16 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::ser::{Serialize, Serializer};
+use serde::{Serialize, Serializer};
 
 use super::statistics::Spread;
 use crate::Error;
-use crate::output::write_atomically;
+use crate::measure::{remove, write_csv};
 use crate::scene::{PatchPressure, Precision, Preconditioner};
 
 /// One value of a row.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[serde(untagged)]
 pub enum Value {
     /// Not measured, or absent.
     #[default]
@@ -22,7 +23,7 @@ pub enum Value {
     /// A whole number.
     Count(i64),
     /// A number; an empty cell if it is not finite.
-    Number(f64),
+    Number(#[serde(serialize_with = "finite")] f64),
     /// A name.
     Text(String),
     /// Three columns: `X_median`, `X_min`, `X_max`.
@@ -43,10 +44,7 @@ values! { Flag: bool; Count: i64, usize, u32, u64; Number: f64; Spread: Spread; 
 impl From<String> for Value {
     /// An empty text is no value, as in a CSV file.
     fn from(text: String) -> Value {
-        match text.is_empty() {
-            true => Value::Empty,
-            false => Value::Text(text),
-        }
+        if text.is_empty() { Value::Empty } else { Value::Text(text) }
     }
 }
 
@@ -73,18 +71,8 @@ impl<T: Into<Value>> From<Option<T>> for Value {
     }
 }
 
-impl Serialize for Value {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        match self {
-            Value::Empty => to.serialize_none(),
-            Value::Flag(flag) => to.serialize_bool(*flag),
-            Value::Count(n) => to.serialize_i64(*n),
-            Value::Number(x) if x.is_finite() => to.serialize_f64(*x),
-            Value::Number(_) => to.serialize_none(),
-            Value::Text(text) => to.serialize_str(text),
-            Value::Spread(spread) => spread.serialize(to),
-        }
-    }
+fn finite<S: Serializer>(x: &f64, to: S) -> Result<S::Ok, S::Error> {
+    x.is_finite().then_some(x).serialize(to)
 }
 
 impl Value {
@@ -93,10 +81,7 @@ impl Value {
         let flag = || cell.parse().ok().map(Value::Flag);
         let count = || cell.parse().ok().map(Value::Count);
         let number = || cell.parse().ok().map(Value::Number);
-        match cell {
-            "" => Value::Empty,
-            _ => (flag().or_else(count).or_else(number)).unwrap_or_else(|| cell.into()),
-        }
+        flag().or_else(count).or_else(number).unwrap_or_else(|| cell.into())
     }
 
     /// NaN for anything but a number.
@@ -165,10 +150,11 @@ impl Row {
         if let Some(value) = self.0.get(name) {
             return value.clone();
         }
-        let ends = ENDS.iter().enumerate();
-        let spread = ends.filter_map(|(end, text)| Some((end, self.spread(name.strip_suffix(text)?)?)));
-        let mut value = spread.map(|(end, Spread { median, min, max })| [median, min, max][end]);
-        value.next_back().into()
+        let end = |(at, end)| {
+            let Spread { median, min, max } = self.spread(name.strip_suffix(end)?)?;
+            Some([median, min, max][at])
+        };
+        ENDS.into_iter().enumerate().find_map(end).into()
     }
 
     /// A number; NaN if absent.
@@ -191,14 +177,13 @@ impl Row {
 
     /// Texts joined by spaces.
     pub fn join(&self, names: &[&str]) -> String {
-        let texts = names.iter().map(|name| self.text(name));
-        texts.filter(|text| !text.is_empty()).collect::<Vec<_>>().join(" ")
+        let texts = names.iter().map(|name| self.text(name)).filter(|text| !text.is_empty());
+        texts.collect::<Vec<_>>().join(" ")
     }
 
     /// Whether all values of another row are the same here.
     pub fn contains(&self, other: &Row) -> bool {
-        let mut values = other.0.iter();
-        values.all(|(name, value)| self.get(name) == *value)
+        other.0.iter().all(|(name, value)| self.get(name) == *value)
     }
 
     /// Whether a flag is set.
@@ -301,8 +286,9 @@ impl Table {
     pub(super) fn put(&mut self, row: Row) {
         let unknown = (row.0.keys()).find(|name| self.columns().all(|column| column.name != **name));
         assert!(unknown.is_none(), "{} has no column {unknown:?}", self.name);
-        match self.find(&row) {
-            Some(at) if !self.key.is_empty() => self.rows[at] = row,
+        let key = row.only(self.key);
+        match self.rows.iter_mut().find(|other| other.contains(&key)) {
+            Some(same) if !self.key.is_empty() => *same = row,
             _ => self.rows.push(row),
         }
     }
@@ -312,28 +298,15 @@ impl Table {
         self.rows.iter().any(|row| row.contains(key))
     }
 
-    /// Index of the row with the same key.
-    fn find(&self, key: &Row) -> Option<usize> {
-        let same = |row: &Row| self.key.iter().all(|name| row.get(name) == key.get(name));
-        self.rows.iter().position(same)
-    }
-
     /// Writes the rows below a head line; an empty table is no file.
     pub(super) fn write_csv(&self, path: &Path) -> Result<(), Error> {
         if self.rows.is_empty() {
-            return super::remove(path);
+            return remove(path);
         }
         let heads = self.heads();
-        let bytes = || {
-            let mut to = csv::Writer::from_writer(Vec::new());
-            to.write_record(heads.iter().map(|head| head.as_bytes()))?;
-            for row in &self.rows {
-                to.serialize(heads.iter().map(|head| row.get(head)).collect::<Vec<_>>())?;
-            }
-            Ok(to.into_inner().map_err(|problem| problem.into_error())?)
-        };
-        let bytes = bytes().map_err(|problem: csv::Error| Error::output(path, problem))?;
-        write_atomically(path, &bytes)
+        let names = heads.iter().map(|head| Value::from(head.as_ref())).collect();
+        let rows = self.rows.iter().map(|row| heads.iter().map(|head| row.get(head)).collect());
+        write_csv(path, std::iter::once(names).chain(rows))
     }
 
     /// Reads the rows of an earlier run; none without a file.
@@ -347,10 +320,7 @@ impl Table {
             let mut rows = Vec::new();
             for record in reader.records() {
                 let record = record?;
-                let text = |name: &str| {
-                    let at = heads.iter().position(|head| head == name);
-                    at.map_or("", |at| &record[at])
-                };
+                let text = |name: &str| heads.iter().position(|head| head == name).map_or("", |at| &record[at]);
                 let cell = |name: &str| Value::parse(text(name));
                 rows.push(Row::new(self.columns().map(|column| {
                     let [median, min, max] = ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
@@ -365,17 +335,14 @@ impl Table {
             }
             Ok(rows)
         };
-        self.rows = read().map_err(|problem: csv::Error| {
-            let what = path.display().to_string();
-            Error::input(what, format!("cannot be read: {problem}"), super::ANEW)
-        })?;
+        let refused = |problem| super::refused(path, format!("cannot be read: {problem}"));
+        self.rows = read().map_err(|problem: csv::Error| refused(problem))?;
         Ok(())
     }
 
     /// Names of the columns that the terminal shows.
     pub fn heading(&self) -> String {
-        let shown = self.columns().filter(|column| column.shown);
-        shown.map(|column| padded(heading(column), column)).collect()
+        self.columns().filter(|column| column.shown).map(|column| padded(heading(column), column)).collect()
     }
 
     /// The values of a row that the terminal shows.

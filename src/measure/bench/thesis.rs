@@ -9,7 +9,7 @@ mod systems;
 
 use std::path::PathBuf;
 
-use super::chart::{Chart, Page, at, lines};
+use super::chart::{Chart, Page, lines};
 use super::statistics::grouped;
 use super::table::{Row, Table, row};
 use super::{Bench, Case, Listener, Machine, Results, Run, Settings, replace, rows};
@@ -60,30 +60,24 @@ impl Options {
     fn check(&self) -> Result<(), Error> {
         for table in &self.tables {
             let systems = SYSTEMS.contains(&table.as_str());
-            let (least, most, unit, problem, cure) = match systems {
+            let ([least, most, unit], problem, cure) = match systems {
                 true => (
-                    8,
-                    256,
-                    1,
+                    [8, 256, 1],
                     "the dam break is too coarse or too large",
                     "give cells from 8 to 256, such as those of the thesis: 40 to 90",
                 ),
                 false => (
-                    5,
-                    320,
-                    5,
+                    [5, 320, 5],
                     "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
                     "give multiples of 5 up to 320",
                 ),
             };
             let fits = |grid: &usize| (least..=most).contains(grid) && grid.is_multiple_of(unit);
             if let Some(grid) = self.grids(table).into_iter().find(|grid| !fits(grid)) {
-                let what = format!("--grids {grid} for table {table}");
-                return Err(Error::input(what, problem, cure));
+                return Err(Error::input(format!("--grids {grid} for table {table}"), problem, cure));
             }
             if systems {
-                let mut frames = self.frames.iter();
-                frames.try_for_each(|&frame| systems::ensure_frame(frame))?;
+                self.frames.iter().try_for_each(|&frame| systems::ensure_frame(frame))?;
             }
         }
         Ok(())
@@ -125,16 +119,11 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     run.cases(scenes::cases(&scenes, options))?;
     run.cases(systems::cases(options))?;
     let mut cases = Vec::new();
-    for table in &options.tables {
+    for problem in options.tables.iter().filter_map(|table| errors::Problem::from_table(table)) {
         for patches in errors::PATCHES {
-            for grid in options.grids(table) {
-                if let Some(problem) = errors::Problem::from_table(table) {
-                    cases.push(Case::new(
-                        "thesis",
-                        row! { table: table.as_str(), grid: grid, patch_pressure: patches },
-                        move |run| problem.rows(run, patches, grid, options),
-                    ));
-                }
+            for grid in options.grids(problem.table) {
+                let key = row! { table: problem.table, grid: grid, patch_pressure: patches };
+                cases.push(Case::new("thesis", key, move |run| problem.rows(run, patches, grid, options)));
             }
         }
     }
@@ -146,8 +135,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
 pub fn derive(tables: &mut [Table]) {
     if let Some(table) = tables.iter_mut().find(|table| table.name == "thesis_systems") {
         let sizes = |row: &Row| ["grid", "nodes", "frame"].map(|name| row.count(name));
-        let place = |row: &Row| (row.text("table").to_owned(), sizes(row));
-        table.rows.sort_by_key(place);
+        table.rows.sort_by_key(|row| (row.text("table").to_owned(), sizes(row)));
     }
     let means = systems::means(rows(tables, "thesis_systems"));
     let growth = systems::growth(&means);
@@ -167,11 +155,9 @@ fn draw(results: &Results) -> Page {
             (["seconds_median", "error_p"], "", ["seconds of the solve", "error of p, Pa"]),
         ] {
             let name = |row: &Row| row.join(&["backend", "precision", "patch_pressure"]);
-            let thesis = rows.iter().copied();
-            let thesis = thesis.filter(|row| name(row) == "cpu f64 cell");
-            let mut all = lines(rows.iter().copied(), name, at(columns));
-            let printed = at([columns[0], printed]);
-            all.extend(lines(thesis, |_| "printed".to_owned(), printed));
+            let thesis = rows.iter().copied().filter(|row| name(row) == "cpu f64 cell");
+            let mut all = lines(rows.iter().copied(), name, columns);
+            all.extend(lines(thesis, |_| "printed".to_owned(), [columns[0], printed]));
             charts.push(Chart { title: format!("Table {table}"), axes, lines: all, falling: true });
         }
     }
@@ -193,18 +179,13 @@ fn draw_systems(means: &[Row]) -> Vec<Chart> {
         let thesis =
             rows.iter().copied().filter(|row| row.text("backend") == "cpu" && row.text("formulation") != "condensed");
         let printed = |row: &Row| format!("printed, {}", row.text("formulation"));
-        let mut all = lines(rows.iter().copied(), name, at(["grid", "mean"]));
-        all.extend(lines(thesis, printed, at(["grid", "thesis"])));
-        let beam = match nodes {
-            0 => String::new(),
-            nodes => format!(", {nodes} nodes"),
+        let mut all = lines(rows.iter().copied(), name, ["grid", "mean"]);
+        all.extend(lines(thesis, printed, ["grid", "thesis"]));
+        let title = match nodes {
+            0 => format!("Table {table}"),
+            nodes => format!("Table {table}, {nodes} nodes"),
         };
-        Chart {
-            title: format!("Table {table}{beam}"),
-            axes: ["cells along an edge", quantity],
-            lines: all,
-            falling: false,
-        }
+        Chart { title, axes: ["cells along an edge", quantity], lines: all, falling: false }
     });
     charts.collect()
 }

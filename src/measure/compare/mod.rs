@@ -15,6 +15,7 @@ mod table;
 pub use table::{MOST_EXCUSED, Place, Row, Worst};
 
 use super::bounds::EPS;
+use super::stored;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Cavities, Solids};
@@ -52,8 +53,9 @@ impl Comparison {
     pub fn verdict(&self) -> Result<(), Error> {
         let n = self.rows.len();
         let mut problems = Vec::new();
-        let worst = self.worst().filter(|row| row.ratio() > 1.0);
-        if let Some((row, worst)) = worst.and_then(|row| Some((row, row.worst?))) {
+        if let Some(row) = self.worst().filter(|row| row.ratio() > 1.0)
+            && let Some(worst) = row.worst
+        {
             let differ = self.rows.iter().filter(|row| row.ratio() > 1.0).count();
             problems.push(format!(
                 "{differ} of {n} quantities differ by more than rounding explains; the worst is {} of {}: {:e} {unit} on the GPU, \
@@ -81,10 +83,7 @@ impl Comparison {
                 row.most_excused(),
             ));
         }
-        match problems.is_empty() {
-            true => Ok(()),
-            false => Err(Error::Check(problems.join("; "))),
-        }
+        if problems.is_empty() { Ok(()) } else { Err(Error::Check(problems.join("; "))) }
     }
 }
 
@@ -187,20 +186,21 @@ impl<'a> Twins<'a> {
         if stage == Stage::Clip {
             self.clip(path, &device);
         }
-        let snapshots = after.liquid.as_ref().zip(after.solids.as_ref());
-        let bodies = self.clip.as_ref().zip(path.solids()).zip(path.cavities());
-        let both = snapshots.zip(bodies).map(|((liquid, solids), ((clip, at_rest), cavities))| Both {
+        let (clip, slopes, report) = (self.clip.as_ref(), &self.slopes[..], after.coupling);
+        let bodies = clip.zip(path.solids()).zip(path.cavities());
+        let both = after.liquid.as_ref().zip(after.solids.as_ref()).zip(bodies);
+        let both = both.map(|((liquid, solids), ((clip, at_rest), cavities))| Both {
             clip,
             at_rest,
             cavities,
             liquid,
             solids,
-            slopes: &self.slopes,
-            report: after.coupling,
+            slopes,
+            report,
         });
         let both = both.as_ref();
         if let (Stage::Solve, Some(twin), Some(after)) = (stage, &mut self.liquid, &after.liquid) {
-            twin.release(after, self.clip.as_ref(), both);
+            twin.release(after, clip, both);
         }
         if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) =
             (stage, both.filter(|both| both.touch()), &self.liquid, &mut self.solids)
@@ -210,7 +210,7 @@ impl<'a> Twins<'a> {
             solids.assembly(both.solids, both, density, systems)?;
         }
         if let (Some(twin), Some(after)) = (&mut self.liquid, &after.liquid) {
-            twin.compare(stage, after, device.liquid, self.clip.as_ref(), both)?;
+            twin.compare(stage, after, device.liquid, clip, both)?;
         }
         if let (Some(twin), Some(after)) = (&mut self.solids, &after.solids) {
             twin.compare(stage, after, device.solids, both)?;
@@ -240,10 +240,7 @@ fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, (gravity, dt
         PatchPressure::Cell => vec![DVec3::ZERO; grid.n_cells()],
         PatchPressure::Hydrostatic => vec![at_rest; grid.n_cells()],
         PatchPressure::Gradient => {
-            let pascal = match dt_last > 0.0 {
-                true => density * grid.dx / dt_last,
-                false => 0.0,
-            };
+            let pascal = if dt_last > 0.0 { density * grid.dx / dt_last } else { 0.0 };
             let pressure: Vec<f64> = before.potential.iter().map(|phi| pascal * phi).collect();
             let (open, active) = (&clip.cut_cells().open, &before.active);
             let mut slopes = vec![at_rest; grid.n_cells()];
@@ -279,33 +276,28 @@ struct Both<'a> {
 impl Both<'_> {
     /// Whether a patch lies in an active cell.
     fn touch(&self) -> bool {
-        let mut cells = self.clip.coupling().cells();
-        cells.any(|(cell, _)| self.liquid.active[cell])
+        stored::touches(self.clip.coupling(), self.liquid)
     }
 
     /// J v of the cells over dx^2, m/s, 0 in inactive cells; and the same with magnitudes.
     fn flux(&self, dx: f64, active: &[bool]) -> [Vec<f64>; 2] {
-        let mut sums = [(); 2].map(|()| vec![0.0; active.len()]);
-        for pair in self.clip.coupling().pairs() {
-            if active[pair.cell] {
-                let value = pair.value / (dx * dx);
-                let v = DVec3::from(self.solids.velocity[pair.node]);
-                sums[0][pair.cell] += value.dot(v);
-                sums[1][pair.cell] += value.abs().dot(v.abs());
-            }
-        }
-        sums
+        self.flux_of(dx, active, |_, v| v)
     }
 
     /// J v of the constrained part of v, likewise.
     fn constrained_flux(&self, dx: f64, active: &[bool]) -> Vec<f64> {
-        let mut sums = vec![0.0; active.len()];
-        for pair in self.clip.coupling().pairs() {
-            if active[pair.cell] {
-                let v = DVec3::from(self.solids.velocity[pair.node]);
-                let constrained = v - self.solids.freedom[pair.node].projector * v;
-                sums[pair.cell] += (pair.value / (dx * dx)).dot(constrained);
-            }
+        let [flux, _] = self.flux_of(dx, active, |node, v| v - self.solids.freedom[node].projector * v);
+        flux
+    }
+
+    /// The same of a part of each node's velocity.
+    fn flux_of(&self, dx: f64, active: &[bool], part: impl Fn(usize, DVec3) -> DVec3) -> [Vec<f64>; 2] {
+        let mut sums = [(); 2].map(|()| vec![0.0; active.len()]);
+        for pair in self.clip.coupling().pairs().iter().filter(|pair| active[pair.cell]) {
+            let value = pair.value / (dx * dx);
+            let v = part(pair.node, self.solids.velocity[pair.node].into());
+            sums[0][pair.cell] += value.dot(v);
+            sums[1][pair.cell] += value.abs().dot(v.abs());
         }
         sums
     }
@@ -349,10 +341,12 @@ fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
 mod tests {
     use super::table::Table;
     use super::*;
+    use crate::grid::Grid;
 
     /// Rows with so many numbers compared, all equal, and so many excused.
     fn comparison(rows: &[(&'static str, u64, u64)]) -> Comparison {
-        let mut table = Table { stage: "forces", ..Table::default() };
+        let mut table = Table::new(Grid { cells: [1; 3], dx: 1.0 });
+        table.stage = "forces";
         for &(quantity, count, excused) in rows {
             let numbers = (0..count).map(|_| (1.0, 1.0, 0.0, Place::Whole));
             table.add([quantity, "m/s"], numbers);

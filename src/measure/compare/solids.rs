@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::table::{Place, Table, components, whole};
+use super::table::{Pair, Place, Table, components, flag, whole};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces};
@@ -19,9 +19,8 @@ use crate::reference::{
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
 use crate::solver::{COUPLING_SHARE, rounding};
-use crate::step::Stage;
-
 use crate::state::SolidDiagnosis;
+use crate::step::Stage;
 
 /// Relative error of a displacement, which is stored as the sum of two f32, and of its increment.
 const PAIR: f64 = 1.0 / (1u64 << 45) as f64;
@@ -62,9 +61,7 @@ pub(super) struct SolidComparison<'a> {
 impl<'a> SolidComparison<'a> {
     /// `None` for a scene without solids.
     pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
-        let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else {
-            return Ok(None);
-        };
+        let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else { return Ok(None) };
         let grid = Grid { cells: scene.domain.cells, dx: f64::from(scene.grid().dx as f32) };
         let solids = before.on_device(solids);
         let mut obstacles = path.contact_field();
@@ -79,7 +76,7 @@ impl<'a> SolidComparison<'a> {
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
             solids,
-            table: Table::default(),
+            table: Table::new(scene.grid()),
             dt: 0.0,
             gravity: DVec3::ZERO,
             before,
@@ -101,9 +98,7 @@ impl<'a> SolidComparison<'a> {
             let SolidSnapshot { displacement, velocity, real, .. } = &mut self.before;
             self.solids.start_scripts(displacement, velocity, self.dt);
             if *real == Real::F32 {
-                for v in velocity.as_flattened_mut() {
-                    *v = f64::from(*v as f32);
-                }
+                velocity.as_flattened_mut().iter_mut().for_each(|v| *v = f64::from(*v as f32));
             }
         }
     }
@@ -136,16 +131,11 @@ impl<'a> SolidComparison<'a> {
         let (n, grid, before) = (self.solids.rest.len(), self.grid, &self.before);
         let wet = both.map(|both| reference::wet_nodes(both.clip.coupling(), &both.liquid.filled, n));
         let wet = wet.unwrap_or_else(|| vec![false; n]);
-        let distance = match self.scene.obstacles.is_empty() {
-            true => &[][..],
-            false => &self.obstacles.distance,
-        };
+        let distance = if self.scene.obstacles.is_empty() { &[][..] } else { &self.obstacles.distance };
         let falling = (self.gravity, self.dt);
         let twin = |off: DVec3| {
-            let moved = before.displacement.iter().map(|&u| DVec3::from(u) + off);
-            let moved: Vec<[f64; 3]> = moved.map(DVec3::into).collect();
-            let v = &before.velocity;
-            let solids = &self.solids;
+            let moved: Vec<[f64; 3]> = before.displacement.iter().map(|&u| (DVec3::from(u) + off).into()).collect();
+            let (solids, v) = (&self.solids, &before.velocity);
             let mut ballistic = reference::ballistic_bodies(solids, &grid, distance, &wet, falling, &moved, v);
             if self.scene.solver.solid_contact {
                 reference::hold_near_others(solids, grid.dx, self.dt, &moved, v, &mut ballistic);
@@ -155,16 +145,13 @@ impl<'a> SolidComparison<'a> {
         let near = 64.0 * EPS * grid.size().max_element();
         let others: Vec<Vec<bool>> = corners().map(|corner| twin(near * corner)).collect();
         let exact = twin(DVec3::ZERO);
-        let rows = self.solids.bodies.iter().enumerate().map(|(number, body)| {
-            let first = body.nodes.start;
-            let gpu = after.ballistic[first];
-            let either = others.iter().any(|other| other[number] == gpu);
-            let twin = if either { gpu } else { exact[number] };
-            (gpu, twin, Place::Node(first, self.solids.rest[first]))
+        let first_nodes = self.solids.bodies.iter().map(|body| body.nodes.start);
+        let ballistic: Vec<bool> = first_nodes.clone().map(|node| after.ballistic[node]).collect();
+        let flags = ballistic.iter().zip(first_nodes).enumerate().map(|(body, (&gpu, node))| {
+            let either = others.iter().any(|other| other[body] == gpu);
+            flag(gpu, if either { gpu } else { exact[body] }, Place::Node(node, self.solids.rest[node]))
         });
-        let rows: Vec<_> = rows.collect();
-        let ballistic = rows.iter().map(|row| row.0).collect();
-        self.table.add_flags("ballistic", rows);
+        self.table.add(["ballistic", "flag"], flags);
         ballistic
     }
 
@@ -172,23 +159,17 @@ impl<'a> SolidComparison<'a> {
     /// Rounding decides whether a node that the solve has brought to the wall penetrates it and loses its normal velocity.
     fn move_solid(&mut self, after: &SolidSnapshot, both: Option<&Both>) {
         let ballistic = self.ballistic_bodies(after, both);
-        let (before, dt) = (&self.before, self.dt);
-        let gravity = self.gravity;
-        let falls = (gravity, &*ballistic);
+        let (before, dt, gravity) = (&self.before, self.dt, self.gravity);
+        let (mut turned, mut turned_v) = (before.displacement.clone(), before.velocity.clone());
+        reference::turn_solids(&self.solids, dt, &mut turned, &mut turned_v);
+        let rotation = self.rotation_errors(&turned, &turned_v, unit(after.real));
         let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
-        reference::turn_solids(&self.solids, dt, &mut u, &mut v);
-        let rotation = self.rotation_errors(&u, &v, unit(after.real));
-        let (turned, turned_v) = (u, v);
-        (u, v) = (before.displacement.clone(), before.velocity.clone());
-        reference::move_solid(&self.solids, &self.grid, dt, falls, &mut u, &mut v);
+        reference::move_solid(&self.solids, &self.grid, dt, (gravity, &ballistic), &mut u, &mut v);
         let size = self.grid.size();
         let longest = size.max_element();
         let touches = |node: usize| {
             (0..3).any(|axis| {
-                let fall = match after.ballistic[node] {
-                    true => 0.5 * dt * dt * gravity[axis],
-                    false => 0.0,
-                };
+                let fall = if after.ballistic[node] { 0.5 * dt * dt * gravity[axis] } else { 0.0 };
                 let free = turned[node][axis] + dt * turned_v[node][axis] + fall;
                 let moved = |u: f64| (u - free).abs() > PAIR * (free.abs() + longest);
                 moved(u[node][axis]) || moved(after.displacement[node][axis])
@@ -208,10 +189,8 @@ impl<'a> SolidComparison<'a> {
             let speed = DVec3::from(before.velocity[node]).length();
             rotation[node][1] + if arrives { speed } else { 0.0 }
         };
-        let (us, vs) = ([&after.displacement[..], &u], [&after.velocity[..], &v]);
-        let table = &mut self.table;
-        table.nodes(rest, ["displacement", "m"], us, displacement);
-        table.nodes(rest, ["v*", "m/s"], vs, velocity);
+        self.table.nodes(rest, ["displacement", "m"], [&after.displacement, &u], displacement);
+        self.table.nodes(rest, ["v*", "m/s"], [&after.velocity, &v], velocity);
     }
 
     /// Errors of displacement (m) and velocity (m/s) of each node by the rotation of its body. `turned`, `turned_v`: displacements and velocities after it.
@@ -219,31 +198,25 @@ impl<'a> SolidComparison<'a> {
         let before = &self.before;
         let mut errors = vec![[0.0; 2]; turned.len()];
         for body in self.solids.rotating_bodies() {
-            let longest = |vector: &dyn Fn(usize) -> DVec3| {
-                let nodes = body.nodes.clone();
-                largest(nodes.map(|node| vector(node).length()))
-            };
+            let longest =
+                |vector: &dyn Fn(usize) -> DVec3| largest(body.nodes.clone().map(|node| vector(node).length()));
             let change =
                 |after: &Field, before: &Field| longest(&|node| DVec3::from(after[node]) - DVec3::from(before[node]));
             let speed = longest(&|node| before.velocity[node].into());
             let moved = change(turned, &before.displacement) + self.dt * speed / ROTATION_ROUNDINGS;
             let faster = change(turned_v, &before.velocity) + speed / ROTATION_ROUNDINGS;
-            let both = [moved, faster].map(|change| ROTATION_ROUNDINGS * eps * change);
-            errors[body.nodes.clone()].fill(both);
+            errors[body.nodes.clone()].fill([moved, faster].map(|change| ROTATION_ROUNDINGS * eps * change));
         }
         errors
     }
 
     /// One product and one sum.
     fn forces(&mut self, after: &SolidSnapshot) {
-        let gravity = self.gravity;
+        let (eps, dt, gravity) = (unit(after.real), self.dt, self.gravity);
         let mut twin = self.before.velocity.clone();
-        let prescribed = &after.prescribed;
-        reference::node_forces(&self.solids, prescribed, gravity, self.dt, &mut twin);
-        let (eps, dt, rest) = (unit(after.real), self.dt, &self.solids.rest);
+        reference::node_forces(&self.solids, &after.prescribed, gravity, dt, &mut twin);
         let bound = |node: usize, axis: usize| eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs());
-        let velocities = [&after.velocity[..], &twin];
-        self.table.nodes(rest, ["v*", "m/s"], velocities, bound);
+        self.table.nodes(&self.solids.rest, ["v*", "m/s"], [&after.velocity, &twin], bound);
     }
 
     /// The gradient of the displacement has 8 roundings of its terms. The rotation has these and a few of its own, times the condition of the polar
@@ -252,9 +225,8 @@ impl<'a> SolidComparison<'a> {
         let solids = &self.solids;
         let mut matrices = reference::solid_matrices(solids, &self.pattern, &after.displacement);
         let eps = unit(after.real);
-        let mut ambiguous = Vec::new();
-        let (mut gradients, mut moduli) = (Vec::new(), Vec::new());
-        let (mut element_forces, mut determinants) = (Vec::new(), Vec::new());
+        let [mut ambiguous, mut gradients, mut moduli, mut element_forces, mut determinants] =
+            [(); 5].map(|()| Vec::new());
         for element in 0..solids.elements.len() {
             let body = solids.body_of_element(element);
             let g = &solids.gradients[element];
@@ -263,9 +235,7 @@ impl<'a> SolidComparison<'a> {
             let error_f = eps * (8.0 * terms + 2.0);
             let mut error_r = error_f * condition(&matrices.deformations[element]) + 16.0 * eps;
             if error_r > AMBIGUOUS {
-                let bound = 8.0 * eps * size;
-                let rotation = accept_rotation(solids, after, element, &mut matrices, bound);
-                ambiguous.push(rotation);
+                ambiguous.push(accept_rotation(solids, after, element, &mut matrices, 8.0 * eps * size));
                 error_r = 64.0 * eps * size;
             }
             let deformation = &matrices.deformations[element];
@@ -342,10 +312,8 @@ impl<'a> SolidComparison<'a> {
                 bounds[node][axis] = eps * terms[axis];
             }
         }
-        let (rest, quantity) = (&self.solids.rest, ["M v*/dt - (K x* - b) + load", "N"]);
-        let vectors = [&after.rhs[..], &twin];
         let bound = |node: usize, axis: usize| bounds[node][axis];
-        self.table.nodes(rest, quantity, vectors, bound);
+        self.table.nodes(&self.solids.rest, ["M v*/dt - (K x* - b) + load", "N"], [&after.rhs, &twin], bound);
     }
 
     /// Forces of the pressure's variation within cells on the nodes, N, and the sums of the magnitudes of their terms.
@@ -354,8 +322,7 @@ impl<'a> SolidComparison<'a> {
         let (mut sums, mut gross) = (vec![DVec3::ZERO; n], vec![0.0; n]);
         // The host computes the integrals, with a dx in f64.
         let (triangles, grid) = (&both.at_rest.triangles, self.scene.grid());
-        let patches = both.clip.patches().iter();
-        for patch in patches.filter(|patch| both.liquid.active[patch.cell]) {
+        for patch in both.clip.patches().iter().filter(|patch| both.liquid.active[patch.cell]) {
             let offset = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
             let slope = both.slopes[patch.cell];
             for (corner, &node) in triangles[patch.triangle].iter().enumerate() {
@@ -377,15 +344,11 @@ impl<'a> SolidComparison<'a> {
         systems: [(ActiveCells, Inflow); 2],
     ) -> Result<(), Error> {
         let (solids, dt, grid) = (&self.solids, self.dt, self.scene.grid());
-        let Some(matrices) = &self.matrices else {
-            return Ok(());
-        };
+        let Some(matrices) = &self.matrices else { return Ok(()) };
         let exact = Solver { tolerance: 1e-12, max_iterations: 10_000, ..self.scene.solver };
         let solve = |(active, rhs), solid, coupling: &Coupling, density| {
-            let active = (active, &*both.liquid.separated);
-            let system = coupled_system(active, rhs, solid, coupling, density);
-            let form = Formulation::of(&system);
-            reference::solve_coupled(&system, form, &self.solver, solids, &exact)
+            let system = coupled_system((active, &*both.liquid.separated), rhs, solid, coupling, density);
+            reference::solve_coupled(&system, Formulation::of(&system), &self.solver, solids, &exact)
         };
         let [stored, assembled] = systems;
         let (areas, weight) = stored_coupling(both.clip.coupling(), grid.dx, density, dt);
@@ -401,15 +364,12 @@ impl<'a> SolidComparison<'a> {
         let scale = |values: &[f64]| largest(values.iter().map(|x| x.abs()));
         self.table.stage = "assembly";
         let bound = ASSEMBLY * scale(&assembled.pressure);
-        let quantity = ["pressure, with solids", "Pa"];
-        self.table.cells(&grid, quantity, |cell| {
-            let numbers = (stored.pressure[cell], assembled.pressure[cell], bound);
-            both.liquid.active[cell].then_some(numbers)
+        self.table.cells(["pressure, with solids", "Pa"], |cell| {
+            both.liquid.active[cell].then_some((stored.pressure[cell], assembled.pressure[cell], bound))
         });
         let bound = ASSEMBLY * scale(assembled.velocity.as_flattened()).max(fall);
         let velocities = [&stored.velocity[..], &assembled.velocity];
-        let (rest, quantity) = (&solids.rest, ["v, with liquid", "m/s"]);
-        self.table.nodes(rest, quantity, velocities, |_, _| bound);
+        self.table.nodes(&solids.rest, ["v, with liquid", "m/s"], velocities, |_, _| bound);
         Ok(())
     }
 
@@ -417,17 +377,14 @@ impl<'a> SolidComparison<'a> {
     /// J^T p of the computed pressure, with areas in f32. Row `v` compares with a direct solve: S >= zeta_M M, so v is off by at most |r| over
     /// the least zeta_M m.
     fn solve(&mut self, after: &SolidSnapshot, both: Option<&Both>) -> Result<(), Error> {
-        let Some(matrices) = self.matrices.take() else {
-            return Ok(());
-        };
+        let Some(matrices) = self.matrices.take() else { return Ok(()) };
         let (solids, dt) = (&self.solids, self.dt);
         let mut system = after.system(solids, &self.pattern, dt);
         let mut size = norm(&system.rhs);
         let mut area_error = 0.0;
         if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
             let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
-            let pushed = system.free_part(force.as_chunks().0);
-            size = size.max(COUPLING_SHARE * norm(&pushed));
+            size = size.max(COUPLING_SHARE * norm(&system.free_part(force.as_chunks().0)));
             system.push(&force);
             area_error = 4.0 * EPS * norm(&gross);
         }
@@ -444,8 +401,7 @@ impl<'a> SolidComparison<'a> {
             let magnitudes: Vec<f64> = (0..rows.n_rows()).map(magnitude).collect();
             allowed += 2.0 * EPS * norm(&magnitudes);
         }
-        let quantity = ["true residual of S v", "N"];
-        self.table.whole(quantity, residual, 0.0, allowed);
+        self.table.whole(["true residual of S v", "N"], residual, 0.0, allowed);
         self.compare_contacts(after, both, &system);
         let exact = Solver { tolerance: 1e-13, ..self.scene.solver };
         let solids = &self.solids;
@@ -454,8 +410,7 @@ impl<'a> SolidComparison<'a> {
             .map(|node| solids.body_of_node(node).zeta_mass(dt) * solids.mass[node])
             .fold(f64::INFINITY, f64::min);
         let bound = (allowed + 1e-12 * norm(&system.rhs)) / least;
-        let (rest, velocities) = (&solids.rest, [&after.velocity[..], &twin]);
-        self.table.nodes(rest, ["v", "m/s"], velocities, |_, _| bound);
+        self.table.nodes(&solids.rest, ["v", "m/s"], [&after.velocity, &twin], |_, _| bound);
         Ok(())
     }
 
@@ -468,31 +423,23 @@ impl<'a> SolidComparison<'a> {
             true => after.held.clone(),
             false => vec![ActiveSurfaces::default(); after.held.len()],
         };
-        let (solids, u) = (&self.solids, &after.displacement);
-        let contacts = Contacts::holding(solids, &self.obstacles, u, &held, self.dt);
-        let penetration = contacts.beyond(&after.velocity);
-        let wrong = penetration.max(contacts.pulled(system, &after.velocity));
+        let contacts = Contacts::holding(&self.solids, &self.obstacles, &after.displacement, &held, self.dt);
+        let wrong = contacts.beyond(&after.velocity).max(contacts.pulled(system, &after.velocity));
         // Gaps are f32, of a distance sampled at a position in cells.
         let bound = contacts.near() + 64.0 * EPS * self.grid.size().max_element();
-        let quantity = ["beyond walls and obstacles, or pulled", "m"];
-        self.table.whole(quantity, wrong, 0.0, bound);
+        self.table.whole(["beyond walls and obstacles, or pulled", "m"], wrong, 0.0, bound);
     }
 
     /// Sums over nodes and elements: five roundings of a term, in f32 one per term of a thread's share and level of the tree, and two f32 for the sum.
     fn diagnose(&mut self, after: &SolidSnapshot) {
-        let (solids, gpu) = (&self.solids, &after.report.diagnosis);
-        let gravity = self.gravity;
-        let displacement = &after.displacement;
+        let (solids, gpu, gravity) = (&self.solids, &after.report.diagnosis, self.gravity);
+        let (displacement, velocity) = (&after.displacement, &after.velocity);
         let deformations: Vec<Deformation> =
             (0..solids.elements.len()).map(|element| solids.deformation(element, displacement)).collect();
-        let velocity = &after.velocity;
         let twin = reference::diagnose_solid(solids, &deformations, displacement, velocity, gravity);
         let size = magnitudes(solids, after, gravity);
         let n = (solids.rest.len() + solids.elements.len()) as f64;
-        let shares = match after.real {
-            Real::F32 => 96.0 * EPS,
-            Real::F64 => 0.0,
-        };
+        let shares = if after.real == Real::F32 { 96.0 * EPS } else { 0.0 };
         let error = shares + (n + 32.0) * f64::EPSILON + EPS * EPS;
         // Quadratic in the strain, which has the roundings of F.
         let eps = unit(after.real);
@@ -504,10 +451,10 @@ impl<'a> SolidComparison<'a> {
             "largest speed" "m/s": gpu.max_speed, twin.max_speed, EPS * twin.max_speed;
         }
         for a in 0..3 {
-            let bounds = [error * size.momentum[a], 4.0 * error * size.angular_momentum[a]];
             whole! { self.table;
-                "momentum" "kg m/s": gpu.momentum[a], twin.momentum[a], bounds[0];
-                "angular momentum" "kg m^2/s": gpu.angular_momentum[a], twin.angular_momentum[a], bounds[1];
+                "momentum" "kg m/s": gpu.momentum[a], twin.momentum[a], error * size.momentum[a];
+                "angular momentum" "kg m^2/s": gpu.angular_momentum[a], twin.angular_momentum[a],
+                    4.0 * error * size.angular_momentum[a];
             }
         }
         whole! { self.table;
@@ -518,8 +465,7 @@ impl<'a> SolidComparison<'a> {
 
 /// Sum of the magnitudes of the terms of an element's displacement gradient.
 fn gradient_terms(solids: &Solids, after: &SolidSnapshot, element: usize) -> f64 {
-    let corners = solids.elements[element];
-    let u = corners.map(|node| DVec3::from(after.displacement[node as usize]));
+    let u = solids.elements[element].map(|node| DVec3::from(after.displacement[node as usize]));
     let g = &solids.gradients[element];
     (1..4).map(|a| (u[a] - u[0]).length() * g[a].length()).sum()
 }
@@ -532,7 +478,7 @@ fn accept_rotation(
     element: usize,
     matrices: &mut SolidMatrices,
     rounding: f64,
-) -> (f64, f64, f64, Place) {
+) -> Pair {
     let twin = &mut matrices.deformations[element];
     let gpu = after.turned(solids, element, twin.gradient);
     let [gpu_distance, distance] = [&gpu, &*twin].map(distance_to_rotation);

@@ -157,9 +157,19 @@ impl Row {
     }
 }
 
+/// A number on both paths: GPU, twin, bound.
+pub(super) type Numbers = (f64, f64, f64);
+/// The same with its place.
+pub(super) type Pair = (f64, f64, f64, Place);
+
 /// The components of a vector on both paths.
-pub(super) fn components(gpu: [f64; 3], twin: [f64; 3], bound: f64, place: Place) -> [(f64, f64, f64, Place); 3] {
+pub(super) fn components(gpu: [f64; 3], twin: [f64; 3], bound: f64, place: Place) -> [Pair; 3] {
     [0, 1, 2].map(|a| (gpu[a], twin[a], bound, place))
+}
+
+/// A flag on both paths, which must agree.
+pub(super) fn flag(gpu: bool, twin: bool, place: Place) -> Pair {
+    (number(gpu), number(twin), 0.0, place)
 }
 
 /// Adds single numbers to a table: quantity, unit, and GPU, twin and bound.
@@ -174,8 +184,10 @@ pub(super) use whole;
 pub(super) type Quantity = [&'static str; 2];
 
 /// Rows in order of first appearance.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Table {
+    /// The cells and faces of the numbers.
+    grid: Grid,
     pub(super) rows: Vec<Row>,
     /// Current sub-step.
     pub(super) step: u64,
@@ -184,6 +196,10 @@ pub(super) struct Table {
 }
 
 impl Table {
+    pub(super) fn new(grid: Grid) -> Table {
+        Table { grid, rows: Vec::new(), step: 0, stage: "" }
+    }
+
     /// Row of a quantity of the current stage.
     pub(super) fn row(&mut self, [quantity, unit]: Quantity) -> &mut Row {
         let stage = self.stage;
@@ -195,8 +211,8 @@ impl Table {
         &mut self.rows[index]
     }
 
-    /// Adds (GPU, twin, bound, place) to a row.
-    pub(super) fn add(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = (f64, f64, f64, Place)>) {
+    /// Adds pairs to a row.
+    pub(super) fn add(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = Pair>) {
         let step = self.step;
         let row = self.row(quantity);
         for (gpu, twin, bound, place) in pairs {
@@ -204,27 +220,12 @@ impl Table {
         }
     }
 
-    /// Adds (GPU, twin, bound, place) to a row, and excuses the numbers that are `None`.
-    pub(super) fn judge(
-        &mut self,
-        quantity: Quantity,
-        pairs: impl IntoIterator<Item = Option<(f64, f64, f64, Place)>>,
-    ) {
+    /// Adds pairs to a row, and excuses those that are `None`.
+    pub(super) fn judge(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = Option<Pair>>) {
         let mut excused = 0;
-        let compared = pairs.into_iter().inspect(|pair| excused += usize::from(pair.is_none()));
+        let compared = pairs.into_iter().inspect(|pair| excused += u64::from(pair.is_none()));
         self.add(quantity, compared.flatten());
-        self.excuse(quantity, excused);
-    }
-
-    /// Adds flags to a row: they must agree everywhere.
-    pub(super) fn add_flags(&mut self, quantity: &'static str, pairs: impl IntoIterator<Item = (bool, bool, Place)>) {
-        let pairs = pairs.into_iter().map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
-        self.add([quantity, "flag"], pairs);
-    }
-
-    /// Excuses numbers of a row.
-    pub(super) fn excuse(&mut self, quantity: Quantity, count: usize) {
-        self.row(quantity).excused += count as u64;
+        self.row(quantity).excused += excused;
     }
 
     /// Adds one number without a place: GPU, twin, bound.
@@ -232,33 +233,37 @@ impl Table {
         self.add(quantity, [(gpu, twin, bound, Place::Whole)]);
     }
 
-    /// Adds the (GPU, twin, bound) of each cell that has them.
-    pub(super) fn cells(
-        &mut self,
-        grid: &Grid,
-        quantity: Quantity,
-        numbers: impl Fn(usize) -> Option<(f64, f64, f64)>,
-    ) {
-        let cells = (0..grid.n_cells()).filter_map(|cell| {
-            let (gpu, twin, bound) = numbers(cell)?;
-            Some((gpu, twin, bound, Place::cell(grid, cell)))
-        });
-        self.add(quantity, cells);
+    /// Adds the numbers of each cell that has them.
+    pub(super) fn cells(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<Numbers>) {
+        self.judge_cells(quantity, |cell| numbers(cell).map(Some));
     }
 
-    /// Adds the (GPU, twin, bound) of each face that has them, by axis and index.
-    pub(super) fn faces(
-        &mut self,
-        grid: &Grid,
-        quantity: Quantity,
-        numbers: impl Fn(usize, usize) -> Option<(f64, f64, f64)>,
-    ) {
+    /// The same; `Some(None)` is excused.
+    pub(super) fn judge_cells(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<Option<Numbers>>) {
+        let grid = self.grid;
+        let pair = |cell, (gpu, twin, bound)| (gpu, twin, bound, Place::cell(&grid, cell));
+        let cells = (0..grid.n_cells()).filter_map(|cell| Some(numbers(cell)?.map(|numbers| pair(cell, numbers))));
+        self.judge(quantity, cells);
+    }
+
+    /// Adds a flag of each cell on both paths.
+    pub(super) fn cell_flags(&mut self, quantity: &'static str, gpu: &[bool], twin: &[bool]) {
+        self.cells([quantity, "flag"], |cell| Some((number(gpu[cell]), number(twin[cell]), 0.0)));
+    }
+
+    /// Adds the numbers of each face that has them, by axis and index.
+    pub(super) fn faces(&mut self, quantity: Quantity, numbers: impl Fn(usize, usize) -> Option<Numbers>) {
+        self.judge_faces(quantity, |axis, face| numbers(axis.index(), face).map(Some));
+    }
+
+    /// The same; `Some(None)` is excused.
+    pub(super) fn judge_faces(&mut self, quantity: Quantity, numbers: impl Fn(Axis, usize) -> Option<Option<Numbers>>) {
+        let grid = self.grid;
         for axis in Axis::ALL {
-            let faces = (0..grid.n_faces(axis)).filter_map(|face| {
-                let (gpu, twin, bound) = numbers(axis.index(), face)?;
-                Some((gpu, twin, bound, Place::face(grid, axis, face)))
-            });
-            self.add(quantity, faces);
+            let pair = |face, (gpu, twin, bound)| (gpu, twin, bound, Place::face(&grid, axis, face));
+            let faces = (0..grid.n_faces(axis))
+                .filter_map(|face| Some(numbers(axis, face)?.map(|numbers| pair(face, numbers))));
+            self.judge(quantity, faces);
         }
     }
 
@@ -270,11 +275,9 @@ impl Table {
         [gpu, twin]: [&[[f64; 3]]; 2],
         bound: impl Fn(usize, usize) -> f64,
     ) {
-        let components = (0..gpu.len()).flat_map(|node| (0..3).map(move |axis| (node, axis)));
-        let pairs = components.map(|(node, axis)| {
-            let place = Place::Node(node, rest[node]);
-            (gpu[node][axis], twin[node][axis], bound(node, axis), place)
-        });
+        let pairs = (0..gpu.len())
+            .flat_map(|node| (0..3).map(move |axis| (node, axis)))
+            .map(|(node, axis)| (gpu[node][axis], twin[node][axis], bound(node, axis), Place::Node(node, rest[node])));
         self.add(quantity, pairs);
     }
 }

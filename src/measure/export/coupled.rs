@@ -5,7 +5,9 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::super::stored;
-use super::{Options, SubStep, System, files, no_system_of_both, on_cpu, on_gpu, pressure, solids};
+use super::{
+    Options, SubStep, System, general, no_system_of_both, on_cpu, on_gpu, pressure, solids, symmetric, vector,
+};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::AdapterChoice;
@@ -45,28 +47,25 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         component.iter().for_each(|&cell| x[cell] -= level);
     }
     let solution = blocks.gather(&x);
-    let components = blocks.components.iter();
-    let minus_w: Vec<f64> = components.map(|&at| system.solid.rhs[at]).collect();
-    let cells = blocks.cells.iter();
-    let e: Vec<f64> = cells.map(|&cell| system.pressure.rhs[cell]).collect();
+    let minus_w: Vec<f64> = blocks.components.iter().map(|&at| system.solid.rhs[at]).collect();
+    let e: Vec<f64> = blocks.cells.iter().map(|&cell| system.pressure.rhs[cell]).collect();
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
     let both = |v: &[f64]| e.iter().chain(v).copied().collect::<Vec<f64>>();
-    let (stress, stress_matrix) = variables.system(&blocks)?;
+    let (stress, matrix) = variables.system(&blocks)?;
     let z1 = Csr::diagonal_of(&blocks.z1(SIGMA));
-    let mut others = files! {
-        "indefinite.mtx" symmetric &blocks.indefinite(), "[B J; J^T -S], rows as those of spd.mtx";
-        "indefinite_rhs.mtx" vector &both(&w), "[E u*; w], m^3/s and N";
-        "stress.mtx" symmetric &stress_matrix, "pressures as in spd.mtx, then six stresses per element, in roots of W";
-        "stress_rhs.mtx" vector &stress.rhs(&both(&minus_w)), "its right-hand side";
-        "B.mtx" symmetric &blocks.b, "B, m^3/s per Pa; cells.csv says which cell a row is";
-        "J.mtx" general &blocks.j, "J P, m^2: rows as those of B, columns as the velocities of nodes.csv";
-        "M.mtx" symmetric &system.solid.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n";
-        "K.mtx" symmetric &system.solid.stiffness_to_csr(), "K, N/m, rows as those of M";
-        "Z1.mtx" symmetric &z1, "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv";
-        "Z2.mtx" symmetric &blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s";
-    };
-    let separated = &system.pressure.separated;
-    others.extend(pressure::tables(&scene.grid(), &blocks.cells, separated));
+    let mut others = vec![
+        symmetric("indefinite.mtx", &blocks.indefinite(), "[B J; J^T -S], rows as those of spd.mtx"),
+        vector("indefinite_rhs.mtx", &both(&w), "[E u*; w], m^3/s and N"),
+        symmetric("stress.mtx", &matrix, "pressures as in spd.mtx, then six stresses per element, in roots of W"),
+        vector("stress_rhs.mtx", &stress.rhs(&both(&minus_w)), "its right-hand side"),
+        symmetric("B.mtx", &blocks.b, "B, m^3/s per Pa; cells.csv says which cell a row is"),
+        general("J.mtx", &blocks.j, "J P, m^2: rows as those of B, columns as the velocities of nodes.csv"),
+        symmetric("M.mtx", &system.solid.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n"),
+        symmetric("K.mtx", &system.solid.stiffness_to_csr(), "K, N/m, rows as those of M"),
+        symmetric("Z1.mtx", &z1, "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv"),
+        symmetric("Z2.mtx", &blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s"),
+    ];
+    others.extend(pressure::tables(&scene.grid(), &blocks.cells, &system.pressure.separated));
     others.push(("nodes.csv", solids::table(&all, &blocks.components, n_cells)));
     let written = System {
         matrix: blocks.two_field(SIGMA)?,
@@ -104,7 +103,7 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
 
 /// The system of the f64 path.
 fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<Coupled, Error> {
-    let ((system, pressure, velocity), sub_step, path) = on_cpu(scene, options, |system| match system {
+    let (((system, pressure, velocity), sub_step), path) = on_cpu(scene, options, |system| match system {
         StepSystem::Coupled(system, pressure, velocity) => Some((system.clone(), pressure.to_vec(), velocity.to_vec())),
         StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
     })?;

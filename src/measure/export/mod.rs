@@ -22,10 +22,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::bench::remove;
+use super::remove;
 use crate::Error;
 use crate::gpu::AdapterChoice;
-use crate::linalg::{Csr, norm};
+use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::{FolderLock, write_atomically};
 use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
@@ -113,34 +113,23 @@ struct System {
     solution: Vec<f64>,
     /// Comments of matrix, right-hand side and solution, with units.
     comments: [&'static str; 3],
-    /// Names and texts of other files.
-    others: Vec<(&'static str, String)>,
+    others: Vec<File>,
     part: Value,
 }
 
-/// Matrices and vectors as files: name, kind, values, comment.
-macro_rules! files {
-    ($($name:literal $kind:ident $values:expr, $comment:literal;)*) => {
-        vec![$(($name, $crate::measure::export::text::$kind($values, $comment))),*]
-    };
+/// Name and text of a file.
+type File = (&'static str, String);
+
+fn symmetric(name: &'static str, matrix: &Csr, comment: &str) -> File {
+    (name, matrix_text(matrix, Symmetry::Symmetric, comment))
 }
-use files;
 
-/// Texts of Matrix Market files.
-mod text {
-    use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
+fn general(name: &'static str, matrix: &Csr, comment: &str) -> File {
+    (name, matrix_text(matrix, Symmetry::General, comment))
+}
 
-    pub(super) fn symmetric(matrix: &Csr, comment: &str) -> String {
-        matrix_text(matrix, Symmetry::Symmetric, comment)
-    }
-
-    pub(super) fn general(matrix: &Csr, comment: &str) -> String {
-        matrix_text(matrix, Symmetry::General, comment)
-    }
-
-    pub(super) fn vector(values: &[f64], comment: &str) -> String {
-        vector_text(values, comment)
-    }
+fn vector(name: &'static str, values: &[f64], comment: &str) -> File {
+    (name, vector_text(values, comment))
 }
 
 /// Result of a sub-step.
@@ -165,17 +154,12 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         (false, false) => solids::system(scene, options)?,
         (true, false) => coupled::system(scene, options)?,
     };
-    let status = status(&ran.report);
+    let status = ran.report.solves().next().map_or(SolveStatus::Converged, |solve| solve.status);
     if matches!(status, SolveStatus::Breakdown | SolveStatus::NonFinite) {
-        let ended = status.name();
-        return Err(Error::Stage {
-            stage: "solve",
-            step: options.step,
-            problem: format!("the solve ended with {ended}: there is no system to write"),
-        });
+        let problem = format!("the solve ended with {}: there is no system to write", status.name());
+        return Err(Error::Stage { stage: "solve", step: options.step, problem });
     }
-    let rhs_norm = norm(&system.rhs);
-    let residual = norm(&residual(&system));
+    let (rhs_norm, residual) = (norm(&system.rhs), norm(&residual(&system)));
     let meta = Meta {
         cutwater: env!("CARGO_PKG_VERSION"),
         scene: scene.name.clone(),
@@ -192,17 +176,14 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         status: status.name(),
         unknowns: system.matrix.n_rows(),
         entries: system.matrix.n_entries(),
-        residual: match rhs_norm > 0.0 {
-            true => residual / rhs_norm,
-            false => 0.0,
-        },
+        residual: if rhs_norm > 0.0 { residual / rhs_norm } else { 0.0 },
     };
     let [matrix, rhs, solution] = system.comments;
     let json = serde_json::to_string_pretty(&meta).map_err(|problem| Error::output(out, problem))?;
     let mut files = vec![
-        ("spd.mtx", text::symmetric(&system.matrix, matrix)),
-        ("spd_rhs.mtx", text::vector(&system.rhs, rhs)),
-        ("solution.mtx", text::vector(&system.solution, solution)),
+        symmetric("spd.mtx", &system.matrix, matrix),
+        vector("spd_rhs.mtx", &system.rhs, rhs),
+        vector("solution.mtx", &system.solution, solution),
     ];
     files.extend(system.others);
     files.push(("meta.json", json + "\n"));
@@ -218,48 +199,31 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
 
 /// Refuses a folder with other contents than an earlier export: the owner of its files is unknown.
 fn ensure_replaceable(out: &Path) -> Result<(), Error> {
-    let refused = |name: &str, problem: &str, cure: &str| {
-        let what = out.join(name).display().to_string();
-        Err(Error::input(what, problem, cure))
-    };
-    let manifest = "manifest.json";
-    if out.join(manifest).exists() {
-        let cure = "choose another folder with --out";
-        return refused(manifest, "the folder holds a run", cure);
-    }
-    if is_meta(&out.join("meta.json")) {
+    let (name, problem, cure) = if out.join("manifest.json").exists() {
+        ("manifest.json", "the folder holds a run", "choose another folder with --out")
+    } else if let Some(name) = FILES.iter().find(|name| out.join(name).exists())
+        && !is_meta(&out.join("meta.json"))
+    {
+        let problem = "the export would replace it, and no meta.json says that it is of an earlier one";
+        (*name, problem, "choose another folder with --out, or remove by hand what is in this one")
+    } else {
         return Ok(());
-    }
-    match FILES.iter().find(|name| out.join(name).exists()) {
-        Some(name) => refused(
-            name,
-            "the export would replace it, and no meta.json says that it is of an earlier one",
-            "choose another folder with --out, or remove by hand what is in this one",
-        ),
-        None => Ok(()),
-    }
+    };
+    Err(Error::input(out.join(name).display().to_string(), problem, cure))
 }
 
 /// Whether a file is the meta.json of an export, of this version or another.
 fn is_meta(path: &Path) -> bool {
     let text = fs::read(path).unwrap_or_default();
     let meta: Value = serde_json::from_slice(&text).unwrap_or_default();
-    let keys = ["cutwater", "step", "unknowns", "residual"];
-    keys.iter().all(|key| meta.get(key).is_some())
+    ["cutwater", "step", "unknowns", "residual"].iter().all(|key| meta.get(key).is_some())
 }
 
 /// b - A x
 fn residual(system: &System) -> Vec<f64> {
     let mut product = vec![0.0; system.rhs.len()];
     system.matrix.multiply(&system.solution, &mut product);
-    let pairs = system.rhs.iter().zip(product);
-    pairs.map(|(b, product)| b - product).collect()
-}
-
-/// Status of the first solve of a sub-step.
-fn status(report: &StepReport) -> SolveStatus {
-    let first = report.solves().next();
-    first.map_or(SolveStatus::Converged, |solve| solve.status)
+    system.rhs.iter().zip(product).map(|(b, product)| b - product).collect()
 }
 
 /// Runs the GPU path to a sub-step and reads a value back after one of its stages. `read`: called with each finished stage and the length of the
@@ -288,8 +252,7 @@ fn on_gpu<T>(
         })?;
         if let Some(value) = value {
             let adapter = Some(path.gpu().report().name.clone());
-            let sub_step = SubStep { dt, report, adapter };
-            return Ok((value, sub_step));
+            return Ok((value, SubStep { dt, report, adapter }));
         }
     }
 }
@@ -299,7 +262,7 @@ fn on_cpu<T>(
     scene: &Scene,
     options: &Options,
     mut read: impl FnMut(StepSystem) -> Option<T>,
-) -> Result<(T, SubStep, Reference), Error> {
+) -> Result<((T, SubStep), Reference), Error> {
     let step = options.step;
     let mut path = reference_path(scene)?;
     if let Some((state, _)) = &options.start {
@@ -316,8 +279,7 @@ fn on_cpu<T>(
             }
         })?;
         if let Some(value) = value {
-            let sub_step = SubStep { dt: time_step.dt, report, adapter: None };
-            return Ok((value, sub_step, path));
+            return Ok(((value, SubStep { dt: time_step.dt, report, adapter: None }), path));
         }
         if reached {
             return Err(no_system_of_both(step));
@@ -330,13 +292,11 @@ fn ensure_within(scene: &Scene, step: u64, (done, frame): (u64, u64)) -> Result<
     if frame < scene.n_frames() {
         return Ok(());
     }
+    let last = done.saturating_sub(1);
     Err(Error::input(
         format!("--step {step}"),
         format!("the scene is over after {done} sub-steps"),
-        format!(
-            "choose one from 0 to {}, or let the scene last longer: --set time.duration=...",
-            done.saturating_sub(1)
-        ),
+        format!("choose one from 0 to {last}, or let the scene last longer: --set time.duration=..."),
     ))
 }
 

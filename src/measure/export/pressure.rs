@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::super::stored;
-use super::{Options, SubStep, System, on_cpu, on_gpu};
+use super::{File, Options, SubStep, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::grid::Grid;
 use crate::reference::{PressureSystem, StepSystem};
@@ -16,15 +16,14 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
     let density = density(scene)?;
     let ((system, pressure), sub_step) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
-            let stored = || stored(path, density, dt);
-            (stage == Stage::Solve).then(stored).transpose()
+            (stage == Stage::Solve).then(|| stored(path, density, dt)).transpose()
         })?,
         Backend::Cpu => {
-            let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
+            let read = |system: StepSystem| match system {
                 StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
                 StepSystem::Solid(..) | StepSystem::Coupled(..) => None,
-            })?;
-            (value, sub_step)
+            };
+            on_cpu(scene, options, read)?.0
         }
     };
     let grid = scene.grid();
@@ -42,7 +41,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
 }
 
 /// cells.csv and, where cells separated, separated.csv with these.
-pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<(&'static str, String)> {
+pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<File> {
     let mut tables = vec![("cells.csv", table(grid, cells))];
     if !separated.is_empty() {
         tables.push(("separated.csv", table(grid, separated)));
@@ -51,7 +50,7 @@ pub(super) fn tables(grid: &Grid, cells: &[usize], separated: &[usize]) -> Vec<(
 }
 
 /// CSV with a line per row: its cell and the centre of it.
-pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
+fn table(grid: &Grid, cells: &[usize]) -> String {
     let mut table = String::from("row,i,j,k,x,y,z\n");
     for (row, &cell) in cells.iter().enumerate() {
         let [i, j, k] = grid.cell_at(cell);
@@ -63,20 +62,18 @@ pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
 
 /// Density of the liquid, kg/m^3.
 pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
-    let liquid = scene.liquid.as_ref().ok_or_else(|| {
+    scene.liquid.as_ref().map(|liquid| liquid.density).ok_or_else(|| {
         Error::input(
             scene.file.display().to_string(),
             "the scene has neither liquid nor solids, so there is no system",
             "add a [liquid] section with a region, or a [[solid]]",
         )
-    })?;
-    Ok(liquid.density)
+    })
 }
 
 /// The system stored on the device, in SI units, and the pressure, Pa.
 fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
-    let snapshot = path.snapshot()?.liquid;
-    let snapshot = snapshot.expect("the scene has liquid");
+    let snapshot = path.snapshot()?.liquid.expect("the scene has liquid");
     let mut system = stored::pressure_system(path, &snapshot, density, dt);
     if snapshot.separated.contains(&true) {
         system = system.masked(&snapshot.separated);

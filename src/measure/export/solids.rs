@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::super::stored;
-use super::{Options, SubStep, System, files, on_cpu, on_gpu};
+use super::{Options, SubStep, System, on_cpu, on_gpu, symmetric};
 use crate::Error;
 use crate::elastic::{Body, Solids};
 use crate::reference::{SolidSystem, StepSystem};
@@ -19,20 +19,20 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
             (stage == Stage::Solve).then(|| stored(path, dt)).transpose()
         })?,
         Backend::Cpu => {
-            let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
+            let read = |system: StepSystem| match system {
                 StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
                 StepSystem::Pressure(..) | StepSystem::Coupled(..) => None,
-            })?;
-            (value, sub_step)
+            };
+            on_cpu(scene, options, read)?.0
         }
     };
     let components = system.components();
     let free = |values: &[f64]| components.iter().map(|&at| values[at]).collect::<Vec<f64>>();
-    let mut others = files! {
-        "M.mtx" symmetric &system.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n";
-        "K.mtx" symmetric &system.stiffness_to_csr(), "K, N/m, rows as those of M";
-        "S.mtx" symmetric &system.to_csr(), "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M";
-    };
+    let mut others = vec![
+        symmetric("M.mtx", &system.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n"),
+        symmetric("K.mtx", &system.stiffness_to_csr(), "K, N/m, rows as those of M"),
+        symmetric("S.mtx", &system.to_csr(), "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M"),
+    ];
     others.push(("nodes.csv", table(&solids, &components, 0)));
     let written = System {
         matrix: system.free_to_csr(),

@@ -33,9 +33,6 @@ names! { Exact: "elastic_block" => Block, "pool_at_rest" => Rest, "dam_release" 
 
 impl Exact {
     /// Its scene; `cells` along 1 m: a multiple of 10.
-    ///
-    /// # Errors
-    /// When it is too large.
     pub(super) fn scene(self, cells: usize, solver: Solver) -> Result<Scene, Error> {
         let text = match self {
             Exact::Block => return TABLE_6_5.scene(cells, solver),
@@ -61,9 +58,6 @@ impl Exact {
     }
 
     /// Initial state of its scene.
-    ///
-    /// # Errors
-    /// Errors of the f64 path.
     pub(super) fn state(self, scene: &Scene) -> Result<State, Error> {
         let mut state = reference_path(scene)?.state().clone();
         if self == Exact::Block {

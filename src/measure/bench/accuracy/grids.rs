@@ -1,28 +1,26 @@
 //! Problems with a known pressure, on grids.
 
 use super::exact::Exact;
-use super::{EXACT, MOST_ITERATIONS, Options, ensure_truth};
+use super::{Options, ensure_truth};
 use crate::Error;
 use crate::measure::bench::ended::Ended;
 use crate::measure::bench::sub_step::{Done, Mask, density, open_paths, reference_step, rest_errors, sub_step};
 use crate::measure::bench::table::row;
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::reference::larger;
-use crate::scene::{Precision, Scene, Solver};
+use crate::scene::{Scene, Solver};
 use crate::sim::reference_path;
 use crate::state::SolveReport;
 
 /// Rows of a problem on a grid.
 pub(super) fn measure(run: &mut Run, problem: Exact, grid: usize, options: &Options) -> Result<Rows, Error> {
-    let solver =
-        Solver { precision: Precision::F64, tolerance: EXACT, max_iterations: MOST_ITERATIONS, ..Solver::default() };
+    let solver = super::exact(Solver::default());
     let scene = problem.scene(grid, solver)?;
     let state = problem.state(&scene)?;
     let mut reference = reference_path(&scene)?;
     let exact = reference_step(&mut reference, &state)?;
     let what = format!("{}, {grid} cells along 1 m", problem.name());
-    let solves = exact.report.solves();
-    ensure_truth(&format!("{what}, the f64 path"), state.step, solves)?;
+    ensure_truth(&format!("{what}, the f64 path"), state.step, exact.report.solves())?;
     let mask = Mask::new(&reference);
     let [grid_p, grid_u] = errors(problem, &scene, &mask, &exact);
     let solvers = options.precisions.iter().map(|&precision| Solver {

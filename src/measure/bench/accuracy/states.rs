@@ -1,6 +1,6 @@
 //! States of scenes: the same sub-step with every precision, preconditioner, form and tolerance.
 
-use super::{EXACT, MOST_ITERATIONS, Options, ensure_truth};
+use super::{Options, ensure_truth};
 use crate::Error;
 use crate::effects::Effects;
 use crate::measure::bench::ended::Ended;
@@ -56,22 +56,19 @@ pub(super) fn measure(run: &mut Run, scene: &Scene, frame: u64, options: &Option
         }
     }
     if variants.is_empty() {
-        let what = scene.file.display().to_string();
         let problem = "none of the precisions and preconditioners asked for can solve it";
         let cure = "block_jacobi is for solids in liquid, and f32 not for the condensed form: add others";
-        return Err(refused.unwrap_or_else(|| Error::input(what, problem, cure)));
+        return Err(refused.unwrap_or_else(|| Error::input(scene.file.display().to_string(), problem, cure)));
     }
     let n = options.tolerances.len();
-    let what = format!("solves of {}, frame {frame}", scene.name);
-    let timed = rounds(run, &what, n * variants.len(), |job| {
+    let timed = rounds(run, &format!("solves of {}, frame {frame}", scene.name), n * variants.len(), |job| {
         let path = &mut variants[job / n].path;
         path.set_tolerance(options.tolerances[job % n]);
         let done = sub_step(path, state, density(&scene))?;
         Ok((done.seconds, done))
     })?;
     let rows = timed.into_iter().enumerate().map(|(job, timed)| {
-        let row = case.row(&variants[job / n], options.tolerances[job % n], timed.spread(), &timed.outcome);
-        ("accuracy", row)
+        ("accuracy", case.row(&variants[job / n], options.tolerances[job % n], timed.spread(), &timed.outcome))
     });
     Ok(rows.collect())
 }
@@ -90,16 +87,9 @@ fn solvers(scene: &Scene, options: &Options) -> Vec<Solver> {
                 if again || unknown || condensed && precision == Precision::F32 {
                     continue;
                 }
-                solvers.push(Solver {
-                    precision,
-                    preconditioner,
-                    formulation: match together {
-                        true => formulation,
-                        false => Formulation::Auto,
-                    },
-                    max_iterations: options.max_iterations,
-                    ..scene.solver
-                });
+                let formulation = if together { formulation } else { Formulation::Auto };
+                let max_iterations = options.max_iterations;
+                solvers.push(Solver { precision, preconditioner, formulation, max_iterations, ..scene.solver });
             }
         }
     }
@@ -108,10 +98,7 @@ fn solvers(scene: &Scene, options: &Options) -> Vec<Solver> {
 
 impl<'a> Case<'a> {
     fn new(scene: &'a Scene, state: &'a State) -> Result<Case<'a>, Error> {
-        let mut precise = scene.clone();
-        precise.solver.precision = Precision::F64;
-        precise.solver.tolerance = EXACT;
-        precise.solver.max_iterations = MOST_ITERATIONS;
+        let precise = Scene { solver: super::exact(scene.solver), ..scene.clone() };
         let mut reference = reference_path(&precise)?;
         reference.reset(state.clone())?;
         let dt = reference.next_time_step().dt;
@@ -138,8 +125,7 @@ impl<'a> Case<'a> {
         let Solution { pressure, velocity } = &done.solution;
         let cells = |exact: &[f64]| relative(pressure, exact, Some(&self.mask.cells));
         let nodes = |exact: &[[f64; 3]]| relative(velocity.as_flattened(), exact.as_flattened(), None);
-        let faces = |of: &[Vec<f64>; 3]| of.concat();
-        let counts: Vec<bool> = self.mask.faces.concat();
+        let counts = self.mask.faces.concat();
         let fall = self.scene.domain.gravity.length() * self.dt;
         let speed = liquid.map_or(0.0, |(_, diagnosis)| diagnosis.max_speed);
         let (truth, truth_residual) = &variant.truth;
@@ -154,7 +140,7 @@ impl<'a> Case<'a> {
             residual_p: solves[0].map_or(0.0, |solve| solve.residual), residual_v: solves[1].map_or(0.0, |solve| solve.residual),
             error_p: cells(&truth.pressure), error_v: nodes(&truth.velocity), step_error_p: cells(&self.exact.solution.pressure),
             step_error_v: nodes(&self.exact.solution.velocity),
-            step_error_u: relative(&faces(&done.faces), &faces(&self.exact.faces), Some(&counts)), truth_residual: *truth_residual,
+            step_error_u: relative(&done.faces.concat(), &self.exact.faces.concat(), Some(&counts)), truth_residual: *truth_residual,
             divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence), speed_over_g_dt: if fall > 0.0 { speed / fall } else { 0.0 },
         }
     }
@@ -162,8 +148,7 @@ impl<'a> Case<'a> {
 
 /// Largest difference over the largest exact value, of the values that count; 0 without a difference, NaN if any value is.
 fn relative(found: &[f64], exact: &[f64], counts: Option<&[bool]>) -> f64 {
-    let pairs = found.iter().zip(exact).enumerate();
-    let pairs = pairs.filter(|(at, _)| counts.is_none_or(|counts| counts[*at]));
+    let pairs = found.iter().zip(exact).enumerate().filter(|(at, _)| counts.is_none_or(|counts| counts[*at]));
     let [off, largest] =
         pairs.fold([0.0; 2], |[off, largest], (_, (a, b))| [larger(off, (a - b).abs()), larger(largest, b.abs())]);
     if off == 0.0 { 0.0 } else { off / largest }
@@ -171,8 +156,7 @@ fn relative(found: &[f64], exact: &[f64], counts: Option<&[bool]>) -> f64 {
 
 impl Variant {
     fn new(case: &Case, solver: Solver, options: &Options) -> Result<Variant, Error> {
-        let mut scene = case.scene.clone();
-        scene.solver = solver;
+        let scene = Scene { solver, ..case.scene.clone() };
         let mut path = GpuPath::open(&scene, &options.adapter)?;
         // Compiles, and stores the system.
         path.write_state(case.state)?;
@@ -185,8 +169,7 @@ impl Variant {
             } else if stage == Stage::Solve {
                 let (exact, solves) = solution(path, &path.snapshot()?, &inflow, density, dt)?;
                 let residual = solves.iter().map(|solve| solve.residual).fold(0.0, larger);
-                let system = format!("stored in {}", solver.precision.name());
-                case.ensure_truth(&system, solves)?;
+                case.ensure_truth(&format!("stored in {}", solver.precision.name()), solves)?;
                 truth = Some((exact, residual));
             }
             Ok(())
@@ -204,16 +187,13 @@ fn solution(
     density: f64,
     dt: f64,
 ) -> Result<(Solution, Vec<SolveReport>), Error> {
-    let settings =
-        Solver { tolerance: EXACT, max_iterations: MOST_ITERATIONS, precision: Precision::F64, ..Solver::default() };
+    let settings = super::exact(Solver::default());
     if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
-        let solver = SolidSolver::new(&all);
-        let found = solve_coupled(&system, Form::of(&system), &solver, &all, &settings)?;
+        let found = solve_coupled(&system, Form::of(&system), &SolidSolver::new(&all), &all, &settings)?;
         let exact = Solution { pressure: found.pressure, velocity: found.velocity };
         return Ok((exact, found.reports.into()));
     }
-    let mut exact = Solution { pressure: Vec::new(), velocity: Vec::new() };
-    let mut solves = Vec::new();
+    let (mut exact, mut solves) = (Solution { pressure: Vec::new(), velocity: Vec::new() }, Vec::new());
     if let Some(liquid) = &snapshot.liquid {
         let system = stored::pressure_system(path, liquid, density, dt);
         let (pressure, report) = solve(&system, &settings)?;

@@ -43,8 +43,7 @@ pub fn against_both([with, a]: Pair, [again, b]: Pair) -> Pair {
 
 /// Seconds that the effect adds in each pair.
 pub fn added(pairs: &[Pair]) -> Vec<f64> {
-    let pairs = pairs.iter();
-    pairs.map(|[with, without]| with.seconds - without.seconds).collect()
+    pairs.iter().map(|[with, without]| with.seconds - without.seconds).collect()
 }
 
 /// Median seconds with the effect (0) or without (1).
@@ -54,16 +53,14 @@ pub(super) fn median(pairs: &[Pair], side: usize) -> f64 {
 
 /// Median of the differences of a count; for an even number of pairs the lower of the two in the middle.
 pub fn middle(pairs: &[Pair], count: impl Fn(&Cost) -> usize) -> i64 {
-    let added = pairs.iter().map(|[with, without]| count(with) as i64 - count(without) as i64);
-    let mut added: Vec<i64> = added.collect();
+    let mut added: Vec<i64> = pairs.iter().map(|[with, without]| count(with) as i64 - count(without) as i64).collect();
     added.sort_unstable();
     added[(added.len() - 1) / 2]
 }
 
 /// Number of pairs with different dispatches outside the solve.
 pub fn differing(pairs: &[Pair]) -> usize {
-    let differ = |[with, without]: &&Pair| with.dispatches != without.dispatches;
-    pairs.iter().filter(differ).count()
+    pairs.iter().filter(|[with, without]| with.dispatches != without.dispatches).count()
 }
 
 /// Probability of at most `k` heads in `n` tosses of a coin.
@@ -81,8 +78,7 @@ pub fn at_most(k: usize, n: usize) -> f64 {
 pub fn interval(mut values: Vec<f64>) -> Option<[f64; 2]> {
     values.sort_by(f64::total_cmp);
     let n = values.len();
-    let beyond = (0..n / 2).take_while(|&k| 2.0 * at_most(k, n) <= MISS);
-    let k = beyond.last()?;
+    let k = (0..n / 2).take_while(|&k| 2.0 * at_most(k, n) <= MISS).last()?;
     Some([values[k], values[n - 1 - k]])
 }
 
@@ -94,9 +90,7 @@ pub(super) fn noise(itself: &[Pair]) -> Option<f64> {
 
 /// Verdict on an interval around a median, given the difference of a scene from itself.
 pub fn verdict(interval: Option<[f64; 2]>, median: f64, noise: Option<f64>) -> &'static str {
-    let (Some([low, high]), Some(noise)) = (interval, noise) else {
-        return TOO_FEW;
-    };
+    let (Some([low, high]), Some(noise)) = (interval, noise) else { return TOO_FEW };
     match median {
         _ if (low <= 0.0 && high >= 0.0) || median.abs() <= noise => NOTHING,
         _ if median > 0.0 => ADDS,

@@ -43,8 +43,7 @@ pub struct Capacity<'a> {
 impl<'a> Capacity<'a> {
     /// Room now.
     pub fn new(adapter: &'a AdapterReport) -> Capacity<'a> {
-        let memory = free_memory();
-        Capacity { adapter, memory }
+        Capacity { adapter, memory: free_memory() }
     }
 
     /// Refuses a grid that is too large; the cure names the largest that fits.
@@ -54,9 +53,8 @@ impl<'a> Capacity<'a> {
     pub fn check(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
         let mut checked = self.fits(grid, solvers);
         if let Err(Error::Limit { cure, .. } | Error::Memory { cure, .. }) = &mut checked {
-            let smaller = self
-                .largest(solvers)
-                .map_or(String::new(), |largest| format!("give grids of at most {largest} cells (--grids max), or "));
+            let smaller = |largest| format!("give grids of at most {largest} cells (--grids max), or ");
+            let smaller = self.largest(solvers).map_or(String::new(), smaller);
             *cure = format!("{smaller}use another adapter (--adapter) or machine");
         }
         checked
@@ -75,8 +73,7 @@ impl<'a> Capacity<'a> {
                 self.adapter.check_buffer(&plan.label, plan.bytes())?;
             }
             let memory = HostMemory { needed: PER_CELL * (grid as u64).pow(3), available: self.memory };
-            let bytes = plans.iter().map(BufferPlan::bytes).sum();
-            memory.beside(bytes, self.adapter).check()
+            memory.beside(plans.iter().map(BufferPlan::bytes).sum(), self.adapter).check()
         })
     }
 }
@@ -90,8 +87,7 @@ fn buffers(grid: usize, solver: &Solver, adapter: &AdapterReport) -> Result<Vec<
     let distance = gpu.buffer("bench.liquid_distance", n)?;
     let buffers = SolverBuffers::new(&gpu, &grid, solver.precision)?;
     let (list, args) = (gpu.buffer("bench.list", 0)?, gpu.buffer("bench.args", 4)?);
-    let within = Within { list: &list, args: &args };
-    PressureSystem::new(&gpu, &buffers, &open, &distance, within, solver.theta_floor)?;
+    PressureSystem::new(&gpu, &buffers, &open, &distance, Within { list: &list, args: &args }, solver.theta_floor)?;
     Components::new(&gpu, &buffers, false)?;
     PressureSolver::new(&gpu, &buffers, &velocity, &open, solver)?;
     Ok(gpu.buffer_plans())

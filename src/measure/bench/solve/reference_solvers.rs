@@ -48,6 +48,14 @@ impl<'a> Assembled<'a> {
         }
     }
 
+    /// Number of nodes of the solids.
+    pub(super) fn n_nodes(self) -> usize {
+        match self {
+            Assembled::Pressure(_) => 0,
+            Assembled::Both(_, solids) => solids.rest.len(),
+        }
+    }
+
     pub(super) fn definite(self) -> Definite<'a> {
         match self {
             Assembled::Pressure(system) => Definite::Pressure { system, cells: system.stencil.active_cells() },
@@ -67,8 +75,8 @@ impl<'a> Assembled<'a> {
                 Ok(Some(vec![solve_iterative(system, settings).1]))
             }
             (ReferenceSolver::Multigrid, Assembled::Both(system, solids)) => {
-                let (form, solver) = (Formulation::Condensed, SolidSolver::new(solids));
-                let found = solve_coupled(system, form, &solver, solids, settings)?;
+                let solver = SolidSolver::new(solids);
+                let found = solve_coupled(system, Formulation::Condensed, &solver, solids, settings)?;
                 Ok(Some(found.reports.to_vec()))
             }
             (ReferenceSolver::IncompleteCholesky, _) => {

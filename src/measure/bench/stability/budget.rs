@@ -29,11 +29,11 @@ const LIQUID_FACTOR: f64 = 10.0;
 /// Energies and speeds of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
-    /// J
-    pub liquid_kinetic: f64,
-    /// J
-    pub solid_kinetic: f64,
-    /// J
+    /// Kinetic energy of the liquid, J.
+    pub liquid: f64,
+    /// Kinetic and elastic energy of the solids, J.
+    pub solids: f64,
+    /// Elastic energy, J.
     pub elastic: f64,
     /// J, from the lowest corner of the domain.
     pub potential: f64,
@@ -46,12 +46,7 @@ pub struct Moment {
 impl Moment {
     /// Kinetic and elastic energy, J.
     pub fn motion(&self) -> f64 {
-        self.liquid_kinetic + self.solids()
-    }
-
-    /// Kinetic and elastic energy of the solids, J.
-    pub fn solids(&self) -> f64 {
-        self.solid_kinetic + self.elastic
+        self.liquid + self.solids
     }
 
     /// J
@@ -113,10 +108,7 @@ impl Budget {
         let all = liquid_mass * g * half;
         let step = all.min(0.5 * density * g * area * half.powi(2));
         let fastest = start.liquid_speed.max(start.solid_speed);
-        let strain = match solid_mass > 0.0 {
-            true => start.elastic / solid_mass,
-            false => 0.0,
-        };
+        let strain = if solid_mass > 0.0 { start.elastic / solid_mass } else { 0.0 };
         budget.energy = start.energy();
         budget.available = start.motion() + released + step;
         budget.fall = (fastest.powi(2) + 2.0 * g * budget.height + 2.0 * strain).sqrt();
@@ -126,14 +118,11 @@ impl Budget {
     /// Energies and speeds of liquid and solids. Liquid of a larger volume than at the start has the mass of the start: spheres around flying
     /// markers cover more than their share.
     pub fn moment(&self, liquid: &Diagnosis, solids: &SolidDiagnosis) -> Moment {
-        let share = match liquid.volume > self.volume {
-            true => self.volume / liquid.volume,
-            false => 1.0,
-        };
+        let share = if liquid.volume > self.volume { self.volume / liquid.volume } else { 1.0 };
         let potential = liquid.potential_energy - self.density * liquid.volume * self.lowest;
         Moment {
-            liquid_kinetic: share * liquid.kinetic_energy,
-            solid_kinetic: solids.kinetic_energy,
+            liquid: share * liquid.kinetic_energy,
+            solids: solids.kinetic_energy + solids.elastic_energy,
             elastic: solids.elastic_energy,
             potential: share * potential + solids.potential_energy - self.solids * self.lowest,
             solid_speed: solids.max_speed,
@@ -143,32 +132,20 @@ impl Budget {
 
     /// Share of the liquid of the start that is missing. `outflow`: volume that left less that which entered, m^3.
     pub fn missing(&self, liquid: &Diagnosis, outflow: f64) -> f64 {
-        match self.volume > 0.0 {
-            true => 1.0 - (liquid.volume + outflow) / self.volume,
-            false => 0.0,
-        }
+        if self.volume > 0.0 { 1.0 - (liquid.volume + outflow) / self.volume } else { 0.0 }
     }
 
-    /// Bound of the total energy over that of the start, for sub-steps up to `dt` s.
-    pub fn energy_bound(&self, dt: f64) -> f64 {
+    /// Bounds for sub-steps up to `dt` s: total energy over that of the start; energy of motion and strain, J; speeds of a node and of a face, m/s.
+    pub fn bounds(&self, dt: f64) -> [f64; 4] {
         let g = self.gravity.length();
         let gained = 0.5 * self.mass * g * (2.0 * g * self.height).sqrt() * dt;
-        MOST_ENERGY + gained / self.energy
-    }
-
-    /// Bound of the energy of motion and strain, J.
-    pub fn motion_bound(&self, dt: f64) -> f64 {
         let momentum = (2.0 * self.available * self.mass).sqrt();
-        MOST_ENERGY * self.available + 0.5 * self.gravity.length() * dt * momentum
-    }
-
-    /// Bound of the speed of a node, m/s.
-    pub fn solid_speed_bound(&self, dt: f64) -> f64 {
-        SOLID_FACTOR * (self.fall + self.gravity.length() * dt)
-    }
-
-    /// Bound of the speed of a face, m/s.
-    pub fn liquid_speed_bound(&self, dt: f64) -> f64 {
-        LIQUID_FACTOR * (self.fall + self.gravity.length() * dt)
+        let speed = self.fall + g * dt;
+        [
+            MOST_ENERGY + gained / self.energy,
+            MOST_ENERGY * self.available + 0.5 * g * dt * momentum,
+            SOLID_FACTOR * speed,
+            LIQUID_FACTOR * speed,
+        ]
     }
 }

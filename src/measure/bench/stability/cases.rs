@@ -69,33 +69,40 @@ impl Expected {
     }
 }
 
-/// A case.
-#[derive(Clone, Debug)]
+/// A case, from an entry of `cases.toml`.
+#[derive(Clone, Debug, Deserialize)]
 pub struct Case {
     /// Unique name; its first word is the group.
     pub name: String,
     /// Hostile property of the scene.
     pub varies: String,
     /// Sub-steps.
+    #[serde(skip)]
     pub steps: u64,
     /// Expected behaviour.
+    #[serde(default)]
     pub expected: Expected,
     /// Cause of the failure of a case that is known to fail in the measured table. Its verdict is a failure like any other.
     pub known_failure: Option<String>,
-    /// TOML.
+    /// Names of partial scenes, and what the case adds to them.
+    #[serde(default)]
+    parts: Vec<String>,
+    #[serde(flatten)]
+    own: Part,
+    /// TOML of the whole scene.
+    #[serde(skip)]
     text: String,
+    #[serde(default, rename = "set")]
     overrides: Vec<String>,
-    scale: f64,
+    /// Factor of the cells; absent for 1.
+    #[serde(rename = "cells")]
+    scale: Option<f64>,
 }
 
 impl Case {
     /// Its scene.
-    ///
-    /// # Errors
-    /// As [`Scene::load`].
     pub fn scene(&self) -> Result<Scene, Error> {
-        let file = format!("{}.toml", self.name);
-        Scene::parse(file.as_ref(), &self.text, &self.overrides, self.scale)
+        Scene::parse(format!("{}.toml", self.name).as_ref(), &self.text, &self.overrides, self.scale.unwrap_or(1.0))
     }
 
     /// Cases that vary the same property.
@@ -118,40 +125,8 @@ impl Case {
 struct Matrix {
     /// Named partial scenes.
     scene: BTreeMap<String, Part>,
-    hostile: Vec<Entry>,
-    thesis: Vec<Entry>,
-}
-
-/// A case of `cases.toml`.
-#[derive(Deserialize)]
-struct Entry {
-    name: String,
-    varies: String,
-    #[serde(default)]
-    parts: Vec<String>,
-    #[serde(default)]
-    set: Vec<String>,
-    cells: Option<f64>,
-    #[serde(default)]
-    expected: Expected,
-    known_failure: Option<String>,
-    #[serde(flatten)]
-    own: Part,
-}
-
-impl Entry {
-    fn case(self, text: String, steps: u64, scale: f64) -> Case {
-        Case {
-            name: self.name,
-            varies: self.varies,
-            steps,
-            expected: self.expected,
-            known_failure: self.known_failure,
-            text,
-            overrides: self.set,
-            scale: scale * self.cells.unwrap_or(1.0),
-        }
-    }
+    hostile: Vec<Case>,
+    thesis: Vec<Case>,
 }
 
 /// All cases. `steps`: sub-steps of each hostile case; the thesis's variants have their own. `scale`: factor of the cells of the thesis's
@@ -161,13 +136,16 @@ impl Entry {
 /// [`Error::Input`] where `cases.toml` is not valid TOML.
 pub fn cases(steps: u64, scale: f64) -> Result<Vec<Case>, Error> {
     let Matrix { scene, hostile, thesis } = from_toml("cases.toml of bench stability", CASES)?;
-    let hostile = hostile.into_iter().map(|entry| {
-        let names = ["every"].into_iter().chain(entry.parts.iter().map(String::as_str));
+    let hostile = hostile.into_iter().map(|case| {
+        let names = ["every"].into_iter().chain(case.parts.iter().map(String::as_str));
         let parts = names.filter_map(|name| scene.get(name));
         let mut text = Part::new();
-        parts.chain([&entry.own]).for_each(|part| merge(&mut text, part));
-        entry.case(text.to_string(), steps, 1.0)
+        parts.chain([&case.own]).for_each(|part| merge(&mut text, part));
+        Case { text: text.to_string(), steps, ..case }
     });
-    let thesis = thesis.into_iter().map(|entry| entry.case(THESIS.to_owned(), THESIS_STEPS, scale));
+    let thesis = thesis.into_iter().map(|case| {
+        let scale = Some(scale * case.scale.unwrap_or(1.0));
+        Case { text: THESIS.to_owned(), steps: THESIS_STEPS, scale, ..case }
+    });
     Ok(hostile.chain(thesis).collect())
 }

@@ -104,10 +104,7 @@ impl Limit {
         let (mut low, mut high) = (-10.0 - r, 0.0);
         for _ in 0..200 {
             let middle = 0.5 * (low + high);
-            match cubic(middle) < 0.0 {
-                true => low = middle,
-                false => high = middle,
-            }
+            if cubic(middle) < 0.0 { low = middle } else { high = middle }
         }
         -low
     }
@@ -144,15 +141,9 @@ impl Limit {
     }
 
     /// Measures the growth.
-    ///
-    /// # Errors
-    /// Errors of the simulation.
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         // Until the other roots have decayed: without a spring the only one is 1, with a constant velocity.
-        let (steps, over) = match self.omega_dt > 0.0 {
-            true => (40, 8),
-            false => (10, 6),
-        };
+        let (steps, over) = if self.omega_dt > 0.0 { (40, 8) } else { (10, 6) };
         let mut simulation = Simulation::new(&self.scene()?, backend)?;
         let end = PISTON * DX;
         let mut velocities = Vec::new();
@@ -160,14 +151,12 @@ impl Limit {
             simulation.step()?;
             let state = simulation.state()?;
             let nodes = simulation.solids().rest.iter().zip(&state.node_velocity);
-            let at_end = nodes.filter(|(x, _)| (x.x - end).abs() < 1e-6);
-            let at_end: Vec<f64> = at_end.map(|(_, v)| v[0]).collect();
+            let at_end: Vec<f64> = nodes.filter(|(x, _)| (x.x - end).abs() < 1e-6).map(|(_, v)| v[0]).collect();
             velocities.push(at_end.iter().sum::<f64>() / at_end.len() as f64);
         }
         let changes: Vec<f64> = velocities.windows(2).map(|v| v[1] - v[0]).collect();
         let last = changes.len() - 1;
-        let got = (changes[last] / changes[last - over]).abs();
-        let got = got.powf(1.0 / over as f64);
+        let got = (changes[last] / changes[last - over]).abs().powf(1.0 / over as f64);
         let expected = self.growth();
         let off = got / expected - 1.0;
         let passed = off.abs() <= TOLERANCE && (got > 1.0) == (self.over > 1.0);

@@ -72,19 +72,13 @@ pub fn largest_scale(load: &dyn Fn(f64) -> Result<Case, Error>, adapter: &Adapte
     let (unit, step) = units(cells);
     let scale = |steps: usize| (steps * step) as f64 / unit as f64;
     fits(scale(1))?;
-    let steps = largest(&|steps| fits(scale(steps)).is_ok());
-    Ok(scale(steps))
+    Ok(scale(largest(&|steps| fits(scale(steps)).is_ok())))
 }
 
 /// Greatest common divisor of the cells along the axes, and its multiple that is a step of the search.
 pub fn units(cells: [usize; 3]) -> (usize, usize) {
-    let divisor = |mut a: usize, mut b: usize| {
-        while b != 0 {
-            (a, b) = (b, a % b);
-        }
-        a
-    };
-    let unit = cells.into_iter().fold(0, divisor);
+    let divides = |n: &usize| cells.into_iter().all(|cells| cells.is_multiple_of(*n));
+    let unit = (1..=cells[0]).rev().find(divides).unwrap_or(1);
     let longest = cells.into_iter().fold(0, usize::max) / unit;
     (unit, STEP.div_ceil(longest))
 }
@@ -97,10 +91,7 @@ pub fn largest(holds: &dyn Fn(usize) -> bool) -> usize {
     }
     while failing - holding > 1 {
         let middle = holding.midpoint(failing);
-        match holds(middle) {
-            true => holding = middle,
-            false => failing = middle,
-        }
+        if holds(middle) { holding = middle } else { failing = middle }
     }
     holding
 }

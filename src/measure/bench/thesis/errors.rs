@@ -87,7 +87,7 @@ columns! {
 /// Problem of a table.
 #[derive(Clone, Copy)]
 pub(super) struct Problem {
-    table: &'static str,
+    pub(super) table: &'static str,
     strain: PlaneStrain,
     printed: &'static Printed,
 }
@@ -141,8 +141,7 @@ impl Problem {
                 Some(job) => ("gpu", paths[job].0),
             };
             let row = self.row(&scene, &mask, grid, timed.spread(), &timed.outcome);
-            let names = row! { backend: backend, precision: precision, patch_pressure: patches };
-            ("thesis", row.with(names))
+            ("thesis", row.with(row! { backend: backend, precision: precision, patch_pressure: patches }))
         });
         Ok(rows.collect())
     }
@@ -170,9 +169,7 @@ impl Problem {
 /// Orders of a series of rows; `None` for fewer than two sizes.
 fn order(rows: &[&Row]) -> Option<Row> {
     let rows: Vec<&Row> = rows.iter().copied().filter(|row| FITTED.contains(&row.count("grid"))).collect();
-    let [first, .., last] = rows[..] else {
-        return None;
-    };
+    let [first, .., last] = rows[..] else { return None };
     let point = |row: &Row, error: &str| (1.0 / row.number("grid"), row.number(error));
     let fit = |error: &str| exponent(rows.iter().map(|row| point(row, error)));
     let least = |error: &str| {
@@ -189,17 +186,14 @@ fn order(rows: &[&Row]) -> Option<Row> {
 pub(super) fn orders(rows: &[Row]) -> Vec<Row> {
     let mut orders = Vec::new();
     for (table, rows) in grouped(rows, |row| Some(row.text("table"))) {
-        let printed = Problem::from_table(table).map_or(&[][..], |problem| problem.printed);
-        let printed: Vec<Row> = printed
-            .iter()
-            .map(|(grid, [p, v, u])| row! { grid: *grid, error_p: *p, error_v: *v, error_u: *u })
-            .collect();
+        let printed = Problem::from_table(table).map_or(&[][..], |problem| problem.printed).iter();
+        let printed = printed.map(|&(grid, [p, v, u])| row! { grid: grid, error_p: p, error_v: v, error_u: u });
+        let printed: Vec<Row> = printed.collect();
         let thesis = row! { table: table, backend: "thesis", precision: "", patch_pressure: "cell" };
         orders.extend(order(&printed.iter().collect::<Vec<_>>()).map(|order| order.with(thesis)));
         let solved = rows.into_iter().filter(|row| is_solved(row.text("status")));
-        for (series, rows) in
-            grouped(solved, |row| Some(row.only(&["table", "backend", "precision", "patch_pressure"])))
-        {
+        let series = |row: &Row| row.only(&["table", "backend", "precision", "patch_pressure"]);
+        for (series, rows) in grouped(solved, |row| Some(series(row))) {
             orders.extend(order(&rows).map(|order| order.with(series)));
         }
     }

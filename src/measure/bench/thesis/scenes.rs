@@ -70,8 +70,7 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
                 "give the folder scenes of cutwater's source, or --tables without 6.1",
             ));
         }
-        let precisions = options.precisions.iter();
-        for &precision in precisions.filter(|&&precision| f64 || precision != Precision::F64) {
+        for &precision in options.precisions.iter().filter(|&&precision| f64 || precision != Precision::F64) {
             let precision = format!("solver.precision={}", precision.name());
             scenes.push((number, Scene::load(&file, &[precision], options.scale)?));
         }
@@ -82,9 +81,8 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
 /// A case per scene.
 pub(super) fn cases<'c>(scenes: &'c [(usize, Scene)], options: &'c Options) -> Vec<Case<'c>> {
     let cases = scenes.iter().map(|(number, scene)| {
-        Case::new("thesis_scenes", row! { scene: scene.name.as_str(), precision: scene.solver.precision }, move |_| {
-            Ok(vec![("thesis_scenes", measure(*number, scene, options)?)])
-        })
+        let key = row! { scene: scene.name.as_str(), precision: scene.solver.precision };
+        Case::new("thesis_scenes", key, move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)]))
     });
     cases.collect()
 }
@@ -93,8 +91,7 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     // The first compiles.
     simulation.step()?;
-    let steps = (0..options.steps.max(1)).map(|_| simulation.step());
-    let reports = steps.collect::<Result<Vec<StepReport>, _>>()?;
+    let reports = (0..options.steps.max(1)).map(|_| simulation.step()).collect::<Result<Vec<StepReport>, _>>()?;
     let (name, _, grid, nodes, elements) = PRINTED[number];
     let ended = reports.iter().map(|report| {
         let solves: Vec<SolveReport> = report.solves().collect();

@@ -24,7 +24,7 @@ use crate::reference::{
     solid_matrices, solve_coupled,
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
-use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
+use crate::sim::{Backend, GpuPath, Simulation, reference_path};
 use crate::state::{SolveReport, State};
 use crate::step::Stage;
 
@@ -162,63 +162,41 @@ pub(super) fn cases(options: &Options) -> Vec<BenchCase<'_>> {
             for table in tables.clone() {
                 // Nodes of a beam k bricks across and 7 k along.
                 let nodes = (size.1 + 1).pow(2) * (7 * size.1 + 1);
-                cases.push(BenchCase::new(
-                    "thesis_systems",
-                    row! { table: table, grid: size.0, nodes: nodes, frame: frame },
-                    {
-                        let last = Rc::clone(&last);
-                        move |run| measure(run, &last, (size, frame, table), options)
-                    },
-                ));
+                let (key, last) = (row! { table: table, grid: size.0, nodes: nodes, frame: frame }, Rc::clone(&last));
+                cases.push(BenchCase::new("thesis_systems", key, move |run| {
+                    measure(run, &last, (size, frame, table), options)
+                }));
             }
         }
     }
     cases
 }
 
-/// Simulation of the dam break of a size.
-struct Break {
-    size: Size,
-    scene: Scene,
-    solids: Solids,
-    simulation: Simulation,
-}
-
-impl Break {
-    fn new(size: Size, options: &Options) -> Result<Break, Error> {
-        let scene = scene(size)?;
-        let simulation = Simulation::new(&scene, &Backend::Gpu(options.adapter.clone()))?;
-        let solids = solids_of(&scene)?;
-        Ok(Break { size, scene, solids, simulation })
-    }
-}
-
 /// Rows of a table for a state. `last`: the simulation of the case before, which resumes if it can.
 fn measure(
     run: &mut Run,
-    last: &RefCell<Option<Break>>,
+    last: &RefCell<Option<(Size, Simulation)>>,
     (size, frame, table): (Size, u64, &str),
     options: &Options,
 ) -> Result<Rows, Error> {
     let mut last = last.borrow_mut();
-    let reached = |last: &Break| last.size == size && last.simulation.clock().frame <= frame;
-    if !last.as_ref().is_some_and(reached) {
-        *last = Some(Break::new(size, options)?);
+    let simulation = match last.take() {
+        Some((reached, simulation)) if reached == size && simulation.clock().frame <= frame => simulation,
+        _ => Simulation::new(&scene(size)?, &Backend::Gpu(options.adapter.clone()))?,
+    };
+    let (_, dam) = last.insert((size, simulation));
+    while dam.clock().frame < frame {
+        dam.step()?;
     }
-    let dam = last.as_mut().expect("it was just created");
-    while dam.simulation.clock().frame < frame {
-        dam.simulation.step()?;
-    }
-    let state = dam.simulation.state()?;
-    let rows = Case::new(size, &dam.scene, &dam.solids, &state)?.rows(run, table, options)?;
+    let state = dam.state()?;
+    let rows = Case::new(size, dam, &state)?.rows(run, table, options)?;
     Ok(rows.into_iter().map(|row| ("thesis_systems", row)).collect())
 }
 
 /// The dam break with a beam of k bricks across and 7 k along on n^3 cells.
 fn scene((n, across): Size) -> Result<Scene, Error> {
-    let cells = vec![format!("domain.cells=[{n}, {n}, {n}]")];
-    let file = "scenes/conditioning_40.toml";
-    let mut scene = Scene::parse(file.as_ref(), SCENE, &cells, 1.0)?;
+    let cells = [format!("domain.cells=[{n}, {n}, {n}]")];
+    let mut scene = Scene::parse("scenes/conditioning_40.toml".as_ref(), SCENE, &cells, 1.0)?;
     scene.name = format!("conditioning_{n}_{across}");
     if let SolidMesh::Box { cells, .. } = &mut scene.solids[0].mesh {
         *cells = [across, 7 * across, across];
@@ -240,10 +218,10 @@ pub(super) fn ensure_frame(frame: u64) -> Result<(), Error> {
 }
 
 impl<'a> Case<'a> {
-    fn new(size: Size, scene: &'a Scene, solids: &'a Solids, state: &'a State) -> Result<Case<'a>, Error> {
-        let mut exact = scene.clone();
-        exact.solver.precision = Precision::F64;
-        let mut path = reference_path(&exact)?;
+    fn new(size: Size, dam: &'a Simulation, state: &'a State) -> Result<Case<'a>, Error> {
+        let (scene, solids) = (dam.scene(), dam.solids());
+        let exact = Solver { precision: Precision::F64, ..scene.solver };
+        let mut path = reference_path(&Scene { solver: exact, ..scene.clone() })?;
         path.reset(state.clone())?;
         let time_step = path.next_time_step();
         let mut taken = None;
@@ -259,8 +237,7 @@ impl<'a> Case<'a> {
                 "give later frames, such as 10,40,80",
             )
         })?;
-        let pattern = Arc::new(BlockPattern::new(solids));
-        let deformed = solid_matrices(solids, &pattern, &path.state().displacement);
+        let deformed = solid_matrices(solids, &Arc::new(BlockPattern::new(solids)), &path.state().displacement);
         let dt = time_step.dt;
         Ok(Case {
             stress: StressVariables::new(solids, &deformed.deformations, |body| body.zeta_stiffness(dt)),
@@ -325,8 +302,7 @@ impl<'a> Case<'a> {
     /// Paths of the device with each precision and form, compiled.
     fn devices(&self, options: &Options) -> Result<Vec<(Precision, GpuPath)>, Error> {
         let precisions = options.precisions.iter().flat_map(|&precision| {
-            let forms = [Formulation::Auto, Formulation::TwoField];
-            forms.map(|formulation| self.settings(precision, formulation))
+            [Formulation::Auto, Formulation::TwoField].map(|formulation| self.settings(precision, formulation))
         });
         // In f32 both forms are the same.
         let solvers =
@@ -360,8 +336,7 @@ impl<'a> Case<'a> {
             }
             if let Some(&form) = forms.get(job - 1) {
                 let clock = Instant::now();
-                let solver = SolidSolver::new(self.solids);
-                let found = solve_coupled(&self.system, form, &solver, self.solids, &exact)?;
+                let found = solve_coupled(&self.system, form, &SolidSolver::new(self.solids), self.solids, &exact)?;
                 let seconds = clock.elapsed().as_secs_f64();
                 return Ok((seconds, (found.reports.to_vec(), false)));
             }
@@ -379,20 +354,19 @@ impl<'a> Case<'a> {
         for (job, timed) in timed.iter().enumerate().skip(1) {
             let (seconds, (reports, condensed)) = (timed.spread(), &timed.outcome);
             let (names, sub_step) = match forms.get(job - 1) {
-                Some(Form::Condensed) => (["condensed", "multigrid CG", "cpu", "f64"], None),
                 Some(form) => {
-                    let names = form.name().split_once(", ").unwrap_or((form.name(), ""));
-                    ([names.0, names.1, "cpu", "f64"], None)
+                    let (name, solver) = match form {
+                        Form::Condensed => ("condensed", "multigrid CG"),
+                        form => form.name().split_once(", ").unwrap_or((form.name(), "")),
+                    };
+                    ([name, solver, "cpu", "f64"], seconds.plus(others))
                 }
                 None => {
                     let device = job - 1 - forms.len();
                     let form = if *condensed { "condensed" } else { "two-field" };
-                    let precision = devices[device].0.name();
-                    let sub_step = Spread::of(sub_steps[device].clone());
-                    ([form, "multigrid CG", "gpu", precision], Some(sub_step))
+                    ([form, "multigrid CG", "gpu", devices[device].0.name()], Spread::of(sub_steps[device].clone()))
                 }
             };
-            let sub_step = sub_step.unwrap_or_else(|| seconds.plus(others));
             let row = self.row(table, names).with(row! {
                 status: Ended::new(reports).name(TOLERANCE), iterations: reports[0].iterations, residual_p: reports[0].residual,
                 residual_v: reports[1].residual, seconds: seconds, frame_seconds: sub_step.times(self.sub_steps_per_frame()),
@@ -443,10 +417,7 @@ fn printed(table: &str, quantity: &str, grid: usize, nodes: usize, form: &str) -
 
 /// Value of a quantity, from its logarithm if the column has that.
 fn plain(quantity: &str, value: f64) -> f64 {
-    match quantity.starts_with("log10_") {
-        true => 10.0_f64.powf(value),
-        false => value,
-    }
+    if quantity.starts_with("log10_") { 10.0_f64.powf(value) } else { value }
 }
 
 /// Means over the states.
@@ -461,8 +432,7 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
             _ => &["nonzeros"],
         };
         for &quantity in quantities {
-            let values = rows.iter().filter_map(|row| values(row, quantity));
-            let values: Vec<[f64; 3]> = values.collect();
+            let values: Vec<[f64; 3]> = rows.iter().filter_map(|row| values(row, quantity)).collect();
             if values.is_empty() {
                 continue;
             }
@@ -485,20 +455,15 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
 /// Growth with the grid of means on two grids at least. Table 6.2 refines the beam with the grid.
 pub(super) fn growth(means: &[Row]) -> Vec<Row> {
     let groups = grouped(means, |mean| {
-        let nodes = match mean.text("table") {
-            "6.2" => Value::Empty,
-            _ => mean.get("nodes"),
-        };
+        let nodes = if mean.text("table") == "6.2" { Value::Empty } else { mean.get("nodes") };
         Some(series(mean).with(row! { quantity: mean.get("quantity"), nodes: nodes }))
     });
     let fits = groups.into_iter().filter_map(|(line, means)| {
-        let point = |column: &'static str| {
-            let quantity = line.text("quantity");
-            move |mean: &&Row| (mean.number("grid"), plain(quantity, mean.number(column)))
-        };
-        let power = exponent(means.iter().map(point("mean")))?;
+        let quantity = line.text("quantity");
+        let point = |mean: &Row, column| (mean.number("grid"), plain(quantity, mean.number(column)));
+        let power = exponent(means.iter().map(|mean| point(mean, "mean")))?;
         let printed = means.iter().filter(|mean| mean.has("thesis"));
-        let thesis = exponent(printed.map(point("thesis")));
+        let thesis = exponent(printed.map(|mean| point(mean, "thesis")));
         let states = means.iter().map(|mean| mean.count("states")).min();
         let grids = means.iter().map(|mean| mean.count("grid"));
         let fit = row! { coarsest: grids.clone().min(), finest: grids.max(), states: states, exponent: power, thesis: thesis };

@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::{LiquidComparison, Place, across_borders, components, number, whole};
+use super::{LiquidComparison, Numbers, Pair, Place, across_borders, components, flag, largest, whole};
 use crate::effects::Effects;
 use crate::grid::Axis;
 use crate::measure::bounds::{EPS, level_error, maccormack_error, marker_error};
@@ -33,11 +33,22 @@ fn moved(values: &[f64], by: f64, pattern: u32) -> Vec<f64> {
     values.iter().enumerate().map(signed).collect()
 }
 
+/// Face velocities moved by an amount (m/s), up or down.
+fn moved_faces(velocity: &[Vec<f64>; 3], by: f64, pattern: u32) -> [Vec<f64>; 3] {
+    velocity.each_ref().map(|values| moved(values, by, pattern))
+}
+
+/// A number on both paths and its bound; `None` above the bound but within twice the spread of other twins.
+fn judged(gpu: f64, twin: f64, bound: f64, others: impl Iterator<Item = f64>) -> Option<Numbers> {
+    let off = (gpu - twin).abs();
+    let excused = off > bound && off <= bound + 2.0 * largest(others.map(|other| (other - twin).abs()));
+    (!excused).then_some((gpu, twin, bound))
+}
+
 impl LiquidComparison<'_> {
     /// Compares the fields after a stage of the level. Not all of `stage` are.
     pub(super) fn level(&mut self, stage: Stage, after: &LiquidSnapshot) {
-        let both = self.before.level.clone().zip(after.level.as_ref());
-        let Some((before, now)) = both else { return };
+        let Some((before, now)) = self.before.level.clone().zip(after.level.as_ref()) else { return };
         let all = (after, &before, now);
         match stage {
             Stage::AdvectLevel => self.advect_level(after, now),
@@ -67,8 +78,7 @@ impl LiquidComparison<'_> {
 
     /// A field with air outside the band, where the device has none.
     fn with_air(&self, of: &LiquidSnapshot, field: &[f64]) -> Vec<f64> {
-        let pairs = field.iter().zip(&of.band);
-        pairs.map(|(&phi, &band)| if band { phi } else { REACH }).collect()
+        field.iter().zip(&of.band).map(|(&phi, &band)| if band { phi } else { REACH }).collect()
     }
 
     /// Compares the cells of the band. `twins`: from the inputs, and from inputs moved by their rounding.
@@ -81,15 +91,9 @@ impl LiquidComparison<'_> {
         bound: f64,
     ) {
         let [twin, others @ ..] = twins else { return };
-        let cells = (0..gpu.len()).filter(|&cell| after.band[cell]);
-        let pairs = cells.map(|cell| {
-            let difference = (gpu[cell] - twin[cell]).abs();
-            let spread = others.iter().map(|other| (other[cell] - twin[cell]).abs());
-            let within = difference <= bound + 2.0 * super::largest(spread);
-            let place = Place::cell(&self.grid, cell);
-            (difference <= bound || !within).then(|| (gpu[cell], twin[cell], bound, place))
+        self.table.judge_cells(quantity, |cell| {
+            after.band[cell].then(|| judged(gpu[cell], twin[cell], bound, others.iter().map(|other| other[cell])))
         });
-        self.table.judge(quantity, pairs);
     }
 
     /// Cells from and to which a sub-step stays in the band. The device takes what MacCormack's first pass leaves outside it for air.
@@ -135,8 +139,7 @@ impl LiquidComparison<'_> {
         // A departure point on a plane of cell centres may have the taps of either side.
         let by = 16.0 * EPS * reference::max_speed(velocity);
         twins.extend((0..PATTERNS).map(|pattern| {
-            let velocity = [0, 1, 2].map(|a| moved(&velocity[a], by, pattern));
-            reference::advect_level(&grid, sides, &velocity, &ballistic, &level, dt)
+            reference::advect_level(&grid, sides, &moved_faces(velocity, by, pattern), &ballistic, &level, dt)
         }));
         self.exchange_level(after, &level, (&mut twins, bound));
         let band = self.settled(after);
@@ -164,29 +167,30 @@ impl LiquidComparison<'_> {
     /// and a unit of the sums; through a face that of a quotient and five products.
     fn exchange_level(&mut self, after: &LiquidSnapshot, level: &[f64], (twins, bound): (&mut [Vec<f64>], f64)) {
         let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
-        let (one, largest) = (grid.cell_volume(), reference::largest_shift(self.courant));
-        let sums = twins.iter_mut().map(|twin| {
-            // Outside the band there is air on the device.
-            for cell in (0..twin.len()).filter(|&cell| !after.band[cell]) {
-                twin[cell] = REACH;
-            }
-            let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
-            let sunk = reference::sunk_volumes(taps, &self.open_volumes, [level, twin], largest);
-            reference::empty_level_sinks(taps, twin);
-            let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
-            [sunk / one, filled.iter().sum::<f64>() / one]
-        });
-        let sums: Vec<[f64; 2]> = sums.collect();
+        let (one, most) = (grid.cell_volume(), reference::largest_shift(self.courant));
+        let sums: Vec<[f64; 2]> = twins
+            .iter_mut()
+            .map(|twin| {
+                // Outside the band there is air on the device.
+                for cell in (0..twin.len()).filter(|&cell| !after.band[cell]) {
+                    twin[cell] = REACH;
+                }
+                let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
+                let sunk = reference::sunk_volumes(taps, &self.open_volumes, [level, twin], most);
+                reference::empty_level_sinks(taps, twin);
+                let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
+                [sunk / one, filled.iter().sum::<f64>() / one]
+            })
+            .collect();
         let unit = (-24.0_f64).exp2();
         let with_bound = |which: usize, cells: usize| {
             let others = sums.iter().map(|sum| (sum[which] - sums[0][which]).abs());
             let in_cells = cells as f64 * (2.0 * bound + 16.0 * EPS + unit);
-            (sums[0][which], in_cells + 2.0 * super::largest(others))
+            (sums[0][which], in_cells + 2.0 * largest(others))
         };
         let [sunk, filled] = [with_bound(0, taps.sink_cells.len()), with_bound(1, taps.source_cells.len())];
         let velocity = &self.before.velocity;
-        let sides = self.scene.domain.open;
-        let left = reference::outflow(&grid, sides, &self.cut.open, velocity, level, dt);
+        let left = reference::outflow(&grid, self.scene.domain.open, &self.cut.open, velocity, level, dt);
         let way = dt * reference::max_speed(velocity) / grid.dx;
         let left_bound = left.len() as f64 * (16.0 * EPS * way + unit);
         let left = left.iter().map(|(_, volume)| volume / one).sum();
@@ -200,45 +204,27 @@ impl LiquidComparison<'_> {
         let velocity = &self.before.velocity;
         let carried = reference::advect_velocity(&grid, open, velocity, &ballistic, dt);
         let bound = maccormack_error(&grid, open, velocity, &carried, dt);
-        let mut others: Vec<[Vec<f64>; 3]> = (0..PATTERNS)
-            .map(|pattern| {
-                let velocity = &self.before.velocity;
-                let velocity = [0, 1, 2].map(|a| moved(&velocity[a], bound, pattern));
-                reference::advect_velocity_maccormack(&grid, open, &velocity, &ballistic, dt)
-            })
-            .collect();
-        others.extend(
-            self.near_ballistic().map(|near| reference::advect_velocity_maccormack(&grid, open, velocity, &near, dt)),
-        );
+        let advect = |velocity: &_, near: &_| reference::advect_velocity_maccormack(&grid, open, velocity, near, dt);
+        let mut others: Vec<[Vec<f64>; 3]> =
+            (0..PATTERNS).map(|pattern| advect(&moved_faces(velocity, bound, pattern), &ballistic)).collect();
+        others.extend(self.near_ballistic().map(|near| advect(velocity, &near)));
         let settled = self.settled(after);
-        for axis in Axis::ALL {
+        self.table.judge_faces(["u*", "m/s"], |axis, face| {
             let a = axis.index();
             // A face on a side of the domain may lie in a tile beyond the band.
-            let inside = |face: &usize| {
-                let sides = grid.face_sides(axis, grid.face_at(axis, *face));
-                after.face_band[a][*face] && sides.into_iter().flatten().all(|cell| settled[cell])
-            };
-            let pairs = (0..grid.n_faces(axis)).filter(inside).map(|face| {
-                let (gpu, twin) = (after.velocity_next[a][face], twin[a][face]);
-                let spread = others.iter().map(|other| (other[a][face] - twin).abs());
-                let (off, place) = ((gpu - twin).abs(), Place::face(&grid, axis, face));
-                let excused = off > bound && off <= bound + 2.0 * super::largest(spread);
-                (!excused).then_some((gpu, twin, bound, place))
-            });
-            self.table.judge(["u*", "m/s"], pairs);
-        }
+            let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
+            let inside = after.face_band[a][face] && sides.all(|cell| settled[cell]);
+            let others = others.iter().map(|other| other[a][face]);
+            inside.then(|| judged(after.velocity_next[a][face], twin[a][face], bound, others))
+        });
     }
 
     /// Markers of a level: liquid by the midpoint rule, spray on its parabola. Push-out of obstacles adds the error of the distance and of its normal.
     pub(super) fn advect_level_markers(&mut self, after: &LiquidSnapshot) {
-        let Some(level) = self.before.level.clone() else {
-            return;
-        };
-        let (grid, dt) = (self.grid, self.dt());
-        let velocity = &self.before.velocity;
+        let Some(level) = self.before.level.clone() else { return };
+        let (grid, dt, gravity) = (self.grid, self.dt(), self.gravity());
+        let (velocity, ballistic) = (&self.before.velocity, self.ballistic());
         let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
-        let ballistic = self.ballistic();
-        let gravity = self.gravity();
         let advect = |slot: usize, start: [f64; 3]| {
             let mut one = Markers {
                 position: vec![start],
@@ -246,18 +232,15 @@ impl LiquidComparison<'_> {
                 spray: vec![level.spray[slot]],
             };
             let (sides, falls) = (self.scene.domain.open, (gravity, &ballistic));
-            let solid = &self.cut.solid_distance;
-            reference::advect_level_markers(&grid, sides, velocity, solid, falls, dt, &mut one);
+            reference::advect_level_markers(&grid, sides, velocity, &self.cut.solid_distance, falls, dt, &mut one);
             one.position.first().copied()
         };
         let fall = gravity.length() * dt;
-        let flying = level.marker_velocity.iter().flatten();
-        let fastest = super::largest(flying.map(|v| v.abs())) + fall;
+        let fastest = largest(level.marker_velocity.iter().flatten().map(|v| v.abs())) + fall;
         let bound =
             marker_error(&grid, velocity, dt) + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
         let markers = [&self.before.markers[..], &after.markers];
-        let rows = super::advected(markers, |_| bound, advect);
-        self.add_advected(rows);
+        self.add_advected(super::advected(markers, |_| bound, advect));
     }
 
     /// A weight is a product of three differences from 1, each off by the roundings of a position in cells, rounded to 2^-20.
@@ -266,8 +249,7 @@ impl LiquidComparison<'_> {
         let markers = self.markers_of_level(before);
         let (solid, at, spray) = (&self.cut.solid_distance, &markers.position, &markers.spray);
         let fraction = |carried: &[f64]| reference::occupancy(&grid, solid, carried, at, spray);
-        let carried = self.with_air(after, &now.carried);
-        let twins = self.twins(&carried, EPS * REACH, fraction);
+        let twins = self.twins(&self.with_air(after, &now.carried), EPS * REACH, fraction);
         let weight = 3.0 * 4.0 * EPS * self.extent() + (-20.0_f64).exp2();
         let bound = self.most_markers(&markers) * weight + 64.0 * EPS;
         self.band_cells(["F", ""], after, &now.occupancy, &twins, bound);
@@ -281,7 +263,7 @@ impl LiquidComparison<'_> {
             let ijk = [0, 1, 2].map(|a| cell[a].clamp(0.0, (self.grid.cells[a] - 1) as f64) as usize);
             counts[self.grid.cell(ijk)] += 1.0;
         }
-        27.0 * super::largest(counts) / 8.0 / 0.2
+        27.0 * largest(counts) / 8.0 / 0.2
     }
 
     /// The markers before a stage.
@@ -298,22 +280,18 @@ impl LiquidComparison<'_> {
     /// A root of 1 - |q| near 0 spreads its rounding; the smoothed occupancy is a mean of 27.
     fn bound_level(&mut self, (after, before, now): Change) {
         let carried = self.with_air(after, &before.carried);
+        let thin = reference::thin_liquid(&self.grid, &carried);
         let occupancy = &before.occupancy;
-        let bounded = |carried: &[f64], occupancy: &[f64]| {
-            let thin = reference::thin_liquid(&self.grid, carried);
-            let mut level = reference::bound_level(self.level_cells(), occupancy, &thin, carried);
+        let bounded = |occupancy: &[f64]| {
+            let mut level = reference::bound_level(self.level_cells(), occupancy, &thin, &carried);
             reference::raise_separated(&before.separation_bounds, &mut level);
             level
         };
-        let mut twins = vec![bounded(&carried, occupancy)];
-        for pattern in 0..PATTERNS {
-            let occupancy = occupancy.iter().zip(moved(occupancy, 4.0 * EPS, pattern));
-            let occupancy = occupancy.map(|(&f, moved)| if f == UNKNOWN { f } else { moved });
-            let occupancy: Vec<f64> = occupancy.collect();
-            twins.push(bounded(&carried, &occupancy));
-        }
-        let bound = PASS * EPS * REACH;
-        self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
+        let twins = self.twins(occupancy, 4.0 * EPS, |moved| {
+            let known = occupancy.iter().zip(moved).map(|(&f, &moved)| if f == UNKNOWN { f } else { moved });
+            bounded(&known.collect::<Vec<_>>())
+        });
+        self.band_cells(["phi", "cells"], after, &now.level, &twins, PASS * EPS * REACH);
     }
 
     /// Each pass adds the roundings of a root of sums of squares.
@@ -348,10 +326,9 @@ impl LiquidComparison<'_> {
             reference::empty_level_sinks(&self.taps, &mut level);
             level.iter().map(|phi| phi * dx).collect()
         });
-        let (gpu, bound) = (&after.liquid_distance, bound * dx);
-        self.band_cells(["phi", "m"], after, gpu, &twins, bound);
+        self.band_cells(["phi", "m"], after, &after.liquid_distance, &twins, bound * dx);
         self.twin.liquid_distance.clone_from(&twins[0]);
-        self.twin.distance_bounds = vec![bound; self.grid.n_cells()];
+        self.twin.distance_bounds = vec![bound * dx; self.grid.n_cells()];
     }
 
     /// Labels depend on signs alone, which are equal. Where a cell comes from may hang on a rounding, which moves a cell between targets.
@@ -360,30 +337,24 @@ impl LiquidComparison<'_> {
         let level = self.in_cells(&after.liquid_distance);
         let (open, volumes) = (&self.cut.open, &self.open_volumes);
         let twin = reference::liquid_components(&grid, open, volumes, &level);
-        self.table.cells(&grid, ["component", ""], |cell| {
-            let labels = (now.component[cell], twin.label[cell]);
-            Some((labels.0.into(), labels.1.into(), 0.0))
-        });
+        self.table.cells(["component", ""], |cell| Some((now.component[cell].into(), twin.label[cell].into(), 0.0)));
         let whole: f64 = now.component_volume.iter().sum();
-        let flying = now.spray.iter().zip(&after.markers);
-        let flying = flying.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
+        let slots = now.spray.iter().zip(&after.markers);
+        let flying = slots.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
         let one = grid.cell_volume();
         let mut total = f64::from(self.step.volume_0) - flying as f64 * one / 8.0;
         if Effects::of(self.scene).exchange() {
             let of_step = after.report.exchanged;
-            let volumes = [of_step.left, of_step.sunk, of_step.filled];
-            let quantities = ["volume left", "volume sunk", "volume filled"].map(|it| [it, "m^3"]);
-            let pairs = quantities.into_iter().zip(volumes);
-            for ((row, gpu), (twin, bound)) in pairs.zip(self.twin.exchanged) {
-                self.table.whole(row, one * gpu, one * twin, one * bound);
+            let volumes =
+                [("volume left", of_step.left), ("volume sunk", of_step.sunk), ("volume filled", of_step.filled)];
+            for ((name, gpu), (twin, bound)) in volumes.into_iter().zip(self.twin.exchanged) {
+                self.table.whole([name, "m^3"], one * gpu, one * twin, one * bound);
             }
             total += one * (of_step.filled - of_step.left - of_step.sunk + of_step.limited);
         }
         let bound = 1e-5 * total.abs();
-        let has_liquid = !twin.volume.is_empty();
-        let twin_whole = if has_liquid { total } else { 0.0 };
-        let quantity = ["target volume", "m^3"];
-        self.table.whole(quantity, whole, twin_whole, bound);
+        let twin_whole = if twin.volume.is_empty() { 0.0 } else { total };
+        self.table.whole(["target volume", "m^3"], whole, twin_whole, bound);
     }
 
     /// The shift is a quotient of sums, whose relative error is that of the volume over what the liquid lacks.
@@ -404,16 +375,11 @@ impl LiquidComparison<'_> {
         if targets.len() != components.volume.len() {
             return;
         }
-        let mut twins = vec![shifted(targets)];
-        for relative in [1e-5, -1e-5] {
-            let targets = targets.iter().map(|target| target * (1.0 + relative));
-            twins.push(shifted(&targets.collect::<Vec<_>>()));
-        }
+        let twins = [0.0, 1e-5, -1e-5]
+            .map(|relative| shifted(&targets.iter().map(|target| target * (1.0 + relative)).collect::<Vec<_>>()));
         // The shift is bounded.
-        let spread = super::largest(twins[1..].iter().flat_map(|other| {
-            let pairs = other.iter().zip(&twins[0]);
-            pairs.map(|(other, twin)| (other - twin).abs())
-        }));
+        let offs = |other| std::iter::zip(other, &twins[0]).map(|(other, twin): (&f64, &f64)| (other - twin).abs());
+        let spread = largest(twins[1..].iter().flat_map(offs));
         let bound = 4.0 * EPS * REACH * grid.dx + spread;
         self.band_cells(["phi", "m"], after, &after.liquid_distance, &twins, bound);
         self.twin.liquid_distance.clone_from(&twins[0]);
@@ -428,13 +394,11 @@ impl LiquidComparison<'_> {
         if targets.len() != n || components.label.iter().any(|&label| label as usize > n) {
             return;
         }
-        let most = super::largest(before.occupancy.iter().map(|f| f.abs())).max(1.0);
+        let most = largest(before.occupancy.iter().map(|f| f.abs())).max(1.0);
         // Volumes, in f32 with sums of fixed point, over the dead band of the volume control.
         let bound = (64.0 * EPS / 0.05 + 1e-5 / 0.005) * most;
         let twins = self.twins(&level, 2.0 * EPS * REACH, |level| {
-            let renewed = self.renewed;
-            let occupancy = &before.occupancy;
-            reference::excess(self.level_cells(), (&components, targets), renewed, occupancy, level)
+            reference::excess(self.level_cells(), (&components, targets), self.renewed, &before.occupancy, level)
         });
         self.band_cells(["e", ""], after, &now.excess, &twins, bound);
     }
@@ -445,37 +409,23 @@ impl LiquidComparison<'_> {
         let mut markers = self.markers_of_level(before);
         let n_before = markers.position.len();
         let level = self.in_cells(&after.liquid_distance);
-        let carried = self.with_air(after, &now.carried);
-        let (carried, level) = (&carried, &level);
-        let levels = Levels { carried, level };
+        let levels = Levels { carried: &self.with_air(after, &now.carried), level: &level };
         let numbers = [self.running.seed, self.running.step];
-        let (solid, velocity) = (&self.cut.solid_distance, &self.before.velocity);
-        let crowd = &now.excess;
+        let (solid, velocity, crowd) = (&self.cut.solid_distance, &self.before.velocity, &now.excess);
         let [deleted, seeded] = reference::marker_band(&grid, solid, levels, crowd, numbers, velocity, &mut markers);
         let slots = self.before.markers.iter().zip(&after.markers);
-        let gone = slots.filter(|(x, now)| x.is_some() && now.is_none());
-        let gone = gone.count();
-        let alive = after.markers.iter().flatten().count();
-        let new = (alive + gone).saturating_sub(n_before);
+        let gone = slots.filter(|(x, now)| x.is_some() && now.is_none()).count();
+        let new = (after.markers.iter().flatten().count() + gone).saturating_sub(n_before);
         // As many markers as lie within a rounding of the depth may differ: of some thousand, one.
         let near = |n: usize| 1.0 + 1e-3 * n as f64;
         whole! { self.table;
             "markers deleted" "": gone as f64, deleted as f64, near(deleted);
             "markers seeded" "": new as f64, seeded as f64, near(seeded);
         }
-        let first = self.before.markers.iter().rposition(Option::is_some);
-        let first = first.map_or(0, |last| last + 1);
-        let fresh = after.markers.iter().skip(first).copied().flatten();
-        let fresh: Vec<[f64; 3]> = fresh.collect();
+        let first = self.used_slots();
+        let fresh: Vec<[f64; 3]> = after.markers.iter().skip(first).copied().flatten().collect();
         if fresh.len() == seeded {
-            let twin = &markers.position[n_before - deleted..];
-            let bound = EPS * grid.dx * 8.0 * self.extent();
-            let pairs = fresh.iter().zip(twin).enumerate();
-            let positions = pairs.flat_map(|(index, (gpu, twin))| {
-                let place = Place::Marker(first + index, (*twin).into());
-                components(*gpu, *twin, bound, place)
-            });
-            self.table.add(["new positions", "m"], positions);
+            self.new_positions(first, &fresh, &markers.position[n_before - deleted..]);
         }
     }
 
@@ -495,29 +445,26 @@ impl LiquidComparison<'_> {
         let open = &self.cut.open;
         let (liquid, flying) = ((&phi[..], &volumes[..]), (&markers, &landed[..]));
         reference::take_landing(&grid, open, liquid, flying, dt, &mut faces);
-        let fastest = landed.iter().flat_map(|&marker| markers.velocity[marker]);
-        let fastest = super::largest(fastest.map(f64::abs)).max(reference::max_speed(&faces));
+        let speeds = landed.iter().flat_map(|&marker| markers.velocity[marker]).map(f64::abs);
+        let fastest = largest(speeds).max(reference::max_speed(&faces));
         let weight = EPS * 24.0 * self.extent() * 256.0 + 2.0 * (-16.0_f64).exp2();
-        for axis in Axis::ALL {
-            let a = axis.index();
+        let near = Axis::ALL.map(|axis| {
             let mut near = vec![0.0; grid.n_faces(axis)];
             for &marker in &landed {
                 let around = grid.faces_around(axis, markers.position[marker].into());
-                let faces = around.weights().into_iter();
-                faces.for_each(|(face, _)| near[face] += 1.0);
+                around.weights().into_iter().for_each(|(face, _)| near[face] += 1.0);
             }
-            let band = (0..grid.n_faces(axis)).filter(|&face| after.face_band[a][face]);
-            let pairs = band.map(|face| {
-                let mass = reference::face_mass(&grid, &volumes, axis, face).max(1e-3);
-                let off = near[face] / 8.0 * weight * (fastest + grid.dx / dt) / mass;
-                let bound = off.min(2.0 * fastest) + 400.0 * EPS * fastest * near[face].min(1.0);
-                let (gpu, twin) = (after.velocity_next[a][face], faces[a][face]);
-                let excused = near[face] > 0.0 && (gpu - twin).abs() > bound;
-                let place = Place::face(&grid, axis, face);
-                (!excused).then_some((gpu, twin, bound, place))
-            });
-            self.table.judge(["u*", "m/s"], pairs);
-        }
+            near
+        });
+        self.table.judge_faces(["u*", "m/s"], |axis, face| {
+            let (a, near) = (axis.index(), near[axis.index()][face]);
+            let mass = reference::face_mass(&grid, &volumes, axis, face).max(1e-3);
+            let off = near / 8.0 * weight * (fastest + grid.dx / dt) / mass;
+            let bound = off.min(2.0 * fastest) + 400.0 * EPS * fastest * near.min(1.0);
+            let (gpu, twin) = (after.velocity_next[a][face], faces[a][face]);
+            let excused = near > 0.0 && (gpu - twin).abs() > bound;
+            after.face_band[a][face].then(|| (!excused).then_some((gpu, twin, bound)))
+        });
     }
 
     /// A marker within its rounding of a plane of cell centres may have other cells around it. Velocities: a trilinear sample.
@@ -526,41 +473,32 @@ impl LiquidComparison<'_> {
         let mut twin = self.markers_of_level(before);
         let (phi, velocity) = (&after.liquid_distance, &after.velocity);
         reference::spray(&grid, phi, velocity, &mut twin);
-        let alive = (0..after.markers.len()).filter(|&slot| after.markers[slot].is_some());
-        let alive: Vec<usize> = alive.collect();
+        let alive: Vec<usize> = (0..after.markers.len()).filter(|&slot| after.markers[slot].is_some()).collect();
         if alive.len() != twin.position.len() {
             return;
         }
         let half = DVec3::splat(0.5 * grid.dx);
-        let (mut flags, mut velocities, mut excused) = (Vec::new(), Vec::new(), 0);
+        let (mut flags, mut velocities): (Vec<Option<Pair>>, _) = (Vec::new(), Vec::new());
         let speed = reference::max_speed(velocity);
         let bound = EPS * (10.0 * speed + 2.0 * 12.0 * self.extent() * speed);
         for (index, &slot) in alive.iter().enumerate() {
             let x = DVec3::from(twin.position[index]);
             let place = Place::Marker(slot, x);
-            if now.spray[slot] != twin.spray[index] && across_borders(&grid, (x + half).into()) != (x + half).to_array()
-            {
-                excused += 1;
-                continue;
+            let (gpu, spray) = (now.spray[slot], twin.spray[index]);
+            let excused = gpu != spray && across_borders(&grid, (x + half).into()) != (x + half).to_array();
+            flags.push((!excused).then(|| flag(gpu, spray, place)));
+            if !excused {
+                velocities.extend(components(now.marker_velocity[slot], twin.velocity[index], bound, place));
             }
-            let spray = [now.spray[slot], twin.spray[index]].map(number);
-            flags.push((spray[0], spray[1], 0.0, place));
-            let (gpu, twin) = (now.marker_velocity[slot], twin.velocity[index]);
-            velocities.extend(components(gpu, twin, bound, place));
         }
-        self.table.add(["spray", "flag"], flags);
-        self.table.excuse(["spray", "flag"], excused);
+        self.table.judge(["spray", "flag"], flags);
         self.table.add(["marker velocity", "m/s"], velocities);
     }
 
     /// Adds the source of crowded markers to E u* (m^3/s).
     pub(super) fn add_excess(&self, active: &[bool], rhs: &mut reference::RightHandSide) -> f64 {
-        let Some(level) = self.before.level.as_ref() else {
-            return 0.0;
-        };
-        if !Effects::of(self.scene).volume_shift {
-            return 0.0;
-        }
+        let level = self.before.level.as_ref().filter(|_| Effects::of(self.scene).volume_shift);
+        let Some(level) = level else { return 0.0 };
         let times = [f64::from(self.step.control_time), self.dt()];
         let cells = (0..active.len()).filter(|&cell| active[cell]);
         reference::add_excess(&level.excess, &self.open_volumes, cells, times, rhs);

@@ -6,7 +6,7 @@ mod pressure;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::table::{Place, Table, components, number, whole};
+use super::table::{Numbers, Pair, Place, Table, components, flag, number, whole};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::effects::Effects;
@@ -87,9 +87,7 @@ impl<'a> LiquidComparison<'a> {
     /// `None` for a scene without liquid.
     pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
         let step = path.step_numbers(TimeStep::NONE);
-        let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else {
-            return Ok(None);
-        };
+        let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else { return Ok(None) };
         let grid = Grid { cells: scene.domain.cells, dx: step.dx.into() };
         let cut = path.cut_cells();
         let cut = CutCells {
@@ -109,7 +107,7 @@ impl<'a> LiquidComparison<'a> {
             step,
             components: reference::Components::default(),
             courant: 0.0,
-            table: Table::default(),
+            table: Table::new(grid),
             twin: Twin {
                 liquid_distance: before.liquid_distance.clone(),
                 distance_bounds: vec![0.0; grid.n_cells()],
@@ -127,8 +125,7 @@ impl<'a> LiquidComparison<'a> {
         stored.seal(both.clip.coupling(), &both.at_rest.prescribed);
         let rhs =
             |values: &[f64]| Inflow { values: values.iter().map(|b| area * b).collect(), scale: area * self.twin.flux };
-        let [stored_rhs, assembled_rhs] = [rhs(&self.before.rhs), rhs(&self.twin.rhs)];
-        Some([(stored, stored_rhs), (assembled, assembled_rhs)])
+        Some([(stored, rhs(&self.before.rhs)), (assembled, rhs(&self.twin.rhs))])
     }
 
     /// Begins a sub-step. `moved`: markers have other slots than after the last one.
@@ -196,14 +193,12 @@ impl<'a> LiquidComparison<'a> {
 
     /// Apertures for the pressure: without the faces of sources.
     fn open_to_pressure(&self) -> [Vec<f64>; 3] {
-        let running = self.running.running;
-        self.taps.pressure_apertures(&self.cut.open, running)
+        self.taps.pressure_apertures(&self.cut.open, self.running.running)
     }
 
     /// Apertures of the fluxes: with those of sources on their faces.
     fn open_to_flux(&self) -> [Vec<f64>; 3] {
-        let running = self.running.running;
-        self.taps.flux_apertures(&self.cut.open, running)
+        self.taps.flux_apertures(&self.cut.open, self.running.running)
     }
 
     /// s
@@ -239,8 +234,8 @@ impl<'a> LiquidComparison<'a> {
             let (&gpu, &twin) = (gpu.get(index)?, twin.get(index)?);
             Some((gpu, twin, EPS * twin.abs()))
         };
-        self.table.faces(&grid, ["open fractions", ""], |a, face| rounded(&device.open[a], &cut.open[a], face));
-        self.table.cells(&grid, ["distance", "m"], |cell| rounded(&device.solid_distance, &cut.solid_distance, cell));
+        self.table.faces(["open fractions", ""], |a, face| rounded(&device.open[a], &cut.open[a], face));
+        self.table.cells(["distance", "m"], |cell| rounded(&device.solid_distance, &cut.solid_distance, cell));
         self.cut = device.clone();
         self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
     }
@@ -258,8 +253,7 @@ impl<'a> LiquidComparison<'a> {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
         let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
-        let phi = &self.before.liquid_distance;
-        let distance = reference::surface_distance(&grid, solid_distance, phi);
+        let distance = reference::surface_distance(&grid, solid_distance, &self.before.liquid_distance);
         let surface = reference::Surface { distance: &distance, radius: f64::from(self.step.marker_radius) * grid.dx };
         let error = MarkerError::new(&grid, velocity, surface, dt);
         let sides = self.scene.domain.open;
@@ -271,51 +265,55 @@ impl<'a> LiquidComparison<'a> {
         };
         let bound = |start: DVec3| error.at(start) + EPS * pushed;
         let markers = [&self.before.markers[..], &after.markers];
-        let rows = advected(markers, bound, |_, start| advect(start));
-        self.add_advected(rows);
+        self.add_advected(advected(markers, bound, |_, start| advect(start)));
     }
 
     /// Adds the rows of [`advected`] markers.
     fn add_advected(&mut self, rows: Vec<Advected>) {
-        let compared = || rows.iter().filter(|(.., excused)| !excused);
-        let gone = compared().map(|(gpu, twin, _, at, _)| (gpu.is_none(), twin.is_none(), *at));
-        self.table.add_flags("markers gone", gone);
-        let positions = compared().flat_map(|&(gpu, twin, bound, place, _)| {
-            let both = gpu.zip(twin).into_iter();
-            both.flat_map(move |(gpu, twin)| components(gpu, twin, bound, place))
+        let compared = rows.iter().filter(|(.., excused)| !excused);
+        let gone = compared.map(|(gpu, twin, _, at, _)| flag(gpu.is_none(), twin.is_none(), *at));
+        self.table.add(["markers gone", "flag"], gone);
+        let positions = rows.iter().flat_map(|&(gpu, twin, bound, place, excused)| match gpu.zip(twin) {
+            _ if excused => vec![None; 3],
+            Some((gpu, twin)) => components(gpu, twin, bound, place).map(Some).to_vec(),
+            None => Vec::new(),
         });
-        self.table.add(["positions", "m"], positions);
-        let excused = rows.iter().filter(|(.., excused)| *excused).count();
-        self.table.excuse(["positions", "m"], 3 * excused);
+        self.table.judge(["positions", "m"], positions);
     }
 
     /// Deletion and emission depend on the cell of a marker; one within its rounding of a border may be in either cell.
     fn exchange(&mut self, after: &LiquidSnapshot) {
-        let grid = self.grid;
-        let n_before = self.before.markers.iter().rposition(Option::is_some);
-        let n_before = n_before.map_or(0, |last| last + 1);
+        let (grid, n_before) = (self.grid, self.used_slots());
         let sink = |x: [f64; 3]| reference::sink_markers(&grid, &self.taps, vec![x]).1 == 1;
         let at_border = |x: [f64; 3]| across_borders(&grid, x) != x;
-        let (mut kept, mut pairs, mut excused) = (Vec::new(), Vec::new(), 0);
-        let old = self.before.markers.iter().zip(&after.markers);
-        for (index, (before, gpu)) in old.take(n_before).enumerate() {
-            let Some(x) = *before else { continue };
+        let slots = self.before.markers.iter().zip(&after.markers).take(n_before).enumerate();
+        let old = slots.filter_map(|(slot, (before, gpu))| Some((slot, (*before)?, gpu)));
+        let pairs = old.clone().map(|(slot, x, gpu)| {
             let (gone, sinks) = (gpu.is_none(), sink(x));
-            if gone != sinks && at_border(x) {
-                excused += 1;
-            } else {
-                pairs.push((gone, sinks, Place::Marker(index, x.into())));
-            }
-            kept.extend(*gpu);
-        }
-        self.table.add_flags("markers sunk", pairs);
-        self.table.excuse(["markers sunk", "flag"], excused);
+            (gone == sinks || !at_border(x)).then(|| flag(gone, sinks, Place::Marker(slot, x.into())))
+        });
+        self.table.judge(["markers sunk", "flag"], pairs);
+        let kept: Vec<[f64; 3]> = old.filter_map(|(.., gpu)| *gpu).collect();
         let borders = kept.iter().filter(|&&x| at_border(x)).count();
         self.emission(after, kept, n_before, borders);
     }
 
-    /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders. New positions are off by the
-    /// roundings of three sums and products in cells, and of their product with dx.
+    /// Slots up to the last one with a marker before the stage.
+    fn used_slots(&self) -> usize {
+        self.before.markers.iter().rposition(Option::is_some).map_or(0, |last| last + 1)
+    }
+
+    /// Compares the positions of new markers, in slots from `first` on. They are off by the roundings of three sums and products in cells, and of
+    /// their product with dx.
+    fn new_positions(&mut self, first: usize, gpu: &[[f64; 3]], twin: &[[f64; 3]]) {
+        let bound = EPS * self.grid.dx * 8.0 * self.extent();
+        let positions = gpu.iter().zip(twin).enumerate().flat_map(|(index, (gpu, twin))| {
+            components(*gpu, *twin, bound, Place::Marker(first + index, (*twin).into()))
+        });
+        self.table.add(["new positions", "m"], positions);
+    }
+
+    /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders.
     fn emission(&mut self, after: &LiquidSnapshot, mut kept: Vec<[f64; 3]>, n_before: usize, borders: usize) {
         let (grid, n_kept) = (self.grid, kept.len());
         let level = Effects::of(self.scene).level;
@@ -324,50 +322,36 @@ impl<'a> LiquidComparison<'a> {
             walls = reference::closed_to_markers(&walls, &after.liquid_distance, grid.dx);
         }
         let (taps, running) = (&self.taps, self.running);
+        // A level fills its sources by volume.
         let filled = match level {
             true => {
-                let lattices = &self.lattices;
-                reference::emit_markers(&grid, taps, running, lattices, &walls, &mut kept);
-                0
+                reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
+                None
             }
-            false => reference::seed_markers(&grid, taps, running, &walls, &mut kept).filled,
+            false => Some(reference::seed_markers(&grid, taps, running, &walls, &mut kept).filled),
         };
         let twin = &kept[n_kept..];
-        let new = &after.markers[n_before.min(after.markers.len())..];
-        let gpu: Vec<[f64; 3]> = new.iter().copied().flatten().collect();
-        let mut excused = 0;
+        let gpu: Vec<[f64; 3]> = after.markers.iter().skip(n_before).copied().flatten().collect();
         if gpu.len() != twin.len() && gpu.len().abs_diff(twin.len()) <= borders {
-            excused = 1;
-        } else {
-            let counts = [gpu.len(), twin.len()].map(|n| n as f64);
-            let filled = [after.report.filled.into(), filled as f64];
-            // A level fills its sources by volume.
-            let numbers = [counts, filled].into_iter().take(if level { 1 } else { 2 });
-            let numbers = numbers.map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
-            self.table.add(["markers emitted", ""], numbers);
-            let bound = EPS * grid.dx * 8.0 * self.extent();
-            let places = gpu.iter().zip(twin).enumerate();
-            let positions = places.flat_map(|(index, (gpu, twin))| {
-                let place = Place::Marker(n_before + index, (*twin).into());
-                components(*gpu, *twin, bound, place)
-            });
-            self.table.add(["new positions", "m"], positions);
+            self.table.judge(["new positions", "m"], [None]);
+            return;
         }
-        self.table.excuse(["new positions", "m"], excused);
+        let quantity = ["markers emitted", ""];
+        self.table.whole(quantity, gpu.len() as f64, twin.len() as f64, 0.0);
+        if let Some(filled) = filled {
+            self.table.whole(quantity, after.report.filled.into(), filled as f64, 0.0);
+        }
+        self.new_positions(n_before, &gpu, twin);
     }
 
     /// Bound: [`advection_error`].
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
         let (velocity, dt) = (&self.before.velocity, self.dt());
-        let in_band = |axis: Axis, face: usize| after.face_band[axis.index()][face];
-        let open = &open_to_advection(&self.cut.open, in_band);
+        let open = &open_to_advection(&self.cut.open, |axis, face| after.face_band[axis.index()][face]);
         let bound = advection_error(&self.grid, open, velocity, dt);
         let ballistic = self.ballistic();
         let maccormack = Effects::of(self.scene).maccormack;
-        let advect = match maccormack {
-            true => reference::advect_velocity_maccormack,
-            false => reference::advect_velocity,
-        };
+        let advect = if maccormack { reference::advect_velocity_maccormack } else { reference::advect_velocity };
         let advected = |of: &Ballistic| advect(&self.grid, open, velocity, of, dt);
         let twin = advected(&ballistic);
         if maccormack {
@@ -375,29 +359,22 @@ impl<'a> LiquidComparison<'a> {
             return;
         }
         let others: Vec<_> = self.near_ballistic().map(|other| advected(&other)).collect();
-        let bounds = |a: usize, face: usize| {
-            let of = twin[a][face];
-            let others = others.iter().map(|other| (other[a][face] - of).abs());
-            bound + others.fold(0.0, f64::max)
-        };
+        let bounds =
+            |a: usize, face: usize| bound + largest(others.iter().map(|other| (other[a][face] - twin[a][face]).abs()));
         self.add_band_faces(after, &twin, bounds);
     }
 
     /// Liquid that touched nothing in the last solve, as the device has it.
     fn ballistic(&self) -> Ballistic<'_> {
         let LiquidSnapshot { filled, ballistic, .. } = &self.before;
-        let ballistic = match self.step.n_markers {
-            0 => &[][..],
-            _ => ballistic,
-        };
+        let ballistic = if self.step.n_markers == 0 { &[][..] } else { ballistic };
         Ballistic::new(filled, ballistic, self.gravity(), self.dt())
     }
 
     /// The same for positions that are off by their error; none where nothing is ballistic. Where one decides otherwise, either is right.
     fn near_ballistic(&self) -> impl Iterator<Item = Ballistic<'_>> {
         let (ballistic, near) = (self.ballistic(), NEAR_BALLISTIC * self.extent() * EPS);
-        let corners = corners().filter(move |_| !ballistic.is_none());
-        corners.map(move |corner| ballistic.off_by(near * corner))
+        corners().filter(move |_| !ballistic.is_none()).map(move |corner| ballistic.off_by(near * corner))
     }
 
     /// One product and one sum; on faces of sources one rounding.
@@ -413,9 +390,8 @@ impl<'a> LiquidComparison<'a> {
 
     /// Compares u* on the faces of the band.
     fn add_band_faces(&mut self, after: &LiquidSnapshot, twin: &[Vec<f64>; 3], bound: impl Fn(usize, usize) -> f64) {
-        self.table.faces(&self.grid, ["u*", "m/s"], |a, face| {
-            let numbers = (after.velocity_next[a][face], twin[a][face], bound(a, face));
-            after.face_band[a][face].then_some(numbers)
+        self.table.faces(["u*", "m/s"], |a, face| {
+            after.face_band[a][face].then_some((after.velocity_next[a][face], twin[a][face], bound(a, face)))
         });
     }
 
@@ -435,30 +411,19 @@ impl<'a> LiquidComparison<'a> {
         let mut twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
         reference::empty_sinks(&self.taps, dx, &mut twin);
         let gpu = &after.liquid_distance;
-        let differs = |cell: &usize| (gpu[*cell] - twin[*cell]).abs() > bounds[*cell];
-        let mut differing = (0..grid.n_cells()).filter(|&cell| after.band[cell]).filter(differs).peekable();
-        let mut excused = vec![false; grid.n_cells()];
-        if differing.peek().is_some() {
-            // Markers within a rounding of a border, moved to the next cell.
+        let differs = |cell: usize| after.band[cell] && (gpu[cell] - twin[cell]).abs() > bounds[cell];
+        // Markers within a rounding of a border, moved to the next cell.
+        let other = (0..grid.n_cells()).any(differs).then(|| {
             let moved: Vec<[f64; 3]> = markers.iter().map(|x| across_borders(&grid, *x)).collect();
-            let other = reference::liquid_distance(&grid, &self.cut, &moved, radius);
-            for cell in differing {
-                excused[cell] = (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
-            }
-        }
-        let distance = |distance: &[f64], cell: usize| {
-            // Outside the band the device stores air without a distance.
-            match after.band[cell] || distance[cell] < 0.0 {
-                true => distance[cell],
-                false => dx,
-            }
-        };
-        self.table.cells(&grid, ["phi", "m"], |cell| {
-            let numbers = (distance(gpu, cell), distance(&twin, cell), bounds[cell]);
-            (!excused[cell]).then_some(numbers)
+            reference::liquid_distance(&grid, &self.cut, &moved, radius)
         });
-        let count = excused.iter().filter(|&&excused| excused).count();
-        self.table.excuse(["phi", "m"], count);
+        let agrees = |cell: usize, other: &[f64]| (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
+        // Outside the band the device stores air without a distance.
+        let distance = |of: &[f64], cell: usize| if after.band[cell] || of[cell] < 0.0 { of[cell] } else { dx };
+        self.table.judge_cells(["phi", "m"], |cell| {
+            let excused = differs(cell) && other.as_ref().is_some_and(|other| agrees(cell, other));
+            Some((!excused).then(|| (distance(gpu, cell), distance(&twin, cell), bounds[cell])))
+        });
         self.volume_rate(after);
         self.twin.liquid_distance = twin;
         self.twin.distance_bounds = bounds;
@@ -475,26 +440,20 @@ impl<'a> LiquidComparison<'a> {
         let phi = &after.liquid_distance;
         let volume = reference::liquid_volume(&self.grid, &self.open_volumes, phi);
         let volume_bound = self.sum_error(after.real, phi) * self.wet_volume(phi);
-        let alive = after.markers.iter().flatten().count();
-        let kept = alive - after.report.emitted as usize;
+        let kept = after.markers.iter().flatten().count() - after.report.emitted as usize;
         let gone = after.report.left + after.report.sunk;
-        let volume_0 = f64::from(self.step.volume_0);
-        let volume_0 = reference::volume_without(volume_0, gone.into(), kept);
+        let volume_0 = reference::volume_without(self.step.volume_0.into(), gone.into(), kept);
         let (control_time, dt) = (f64::from(self.step.control_time), self.dt());
         let (mut twin, mut bound) = (0.0, 0.0);
         if volume_0 > 0.0 && volume > 0.0 {
             twin = reference::volume_rate(volume_0, volume, control_time, dt);
             // The slope of the rate, without its limits.
             let per_ratio = 2.0 / control_time;
-            let quotient = match after.real {
-                Real::F32 => 6.0 * EPS,
-                Real::F64 => 0.0,
-            };
+            let quotient = if after.real == Real::F32 { 6.0 * EPS } else { 0.0 };
             let relative = quotient + volume_bound / volume;
             bound = per_ratio * (volume_0 / volume) * relative + 8.0 * EPS * twin.abs();
         }
-        let rate = after.report.volume_rate;
-        self.table.whole(["volume rate", "1/s"], rate, twin, bound);
+        self.table.whole(["volume rate", "1/s"], after.report.volume_rate, twin, bound);
     }
 
     /// The set of unknowns and the weights copy signs and apertures, so they are exact. Free-surface terms: theta has the rounding of a difference
@@ -508,20 +467,14 @@ impl<'a> LiquidComparison<'a> {
             twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
         }
         let (stencil, table) = (&twin.stencil, &mut self.table);
-        let ballistic = reference::ballistic_cells(&open, stencil);
-        table.cells(&grid, ["ballistic", "flag"], |cell| {
-            Some((number(after.ballistic[cell]), number(ballistic[cell]), 0.0))
-        });
-        table.cells(&grid, ["active", "flag"], |cell| {
-            let (gpu, twin) = (after.active[cell], stencil.active(cell));
-            Some((number(gpu), number(twin), 0.0))
-        });
-        table.faces(&grid, ["weights", ""], |a, face| Some((after.weight[a][face], stencil.weight[a][face], 0.0)));
-        table.cells(&grid, ["free-surface terms", ""], |cell| {
+        table.cell_flags("ballistic", &after.ballistic, &reference::ballistic_cells(&open, stencil));
+        table.cell_flags("active", &after.active, &stencil.active_mask());
+        table.faces(["weights", ""], |a, face| Some((after.weight[a][face], stencil.weight[a][face], 0.0)));
+        table.cells(["free-surface terms", ""], |cell| {
             let (gpu, twin) = (after.dirichlet[cell], stencil.dirichlet[cell]);
             Some((gpu, twin, DIRICHLET_ROUNDINGS * EPS * twin))
         });
-        table.cells(&grid, ["1 / diagonal", ""], |cell| {
+        table.cells(["1 / diagonal", ""], |cell| {
             let diagonal = stencil.diagonal[cell];
             let twin = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
             // A sum of eleven and a quotient more.
@@ -540,13 +493,11 @@ impl<'a> LiquidComparison<'a> {
     /// enclosed components products with areas in f32, and obstacles a flux in f32.
     fn right_hand_side(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
-        let active = self.twin.active.take();
-        let active = active.expect("active_cells comes before right_hand_side");
+        let active = self.twin.active.take().expect("active_cells comes before right_hand_side");
         let velocity = &self.before.velocity_next;
         let (open, source) = (self.open_to_flux(), Some(self.source()));
         let mut twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
-        let mask = active.stencil.active_mask();
-        let of_excess = self.add_excess(&mask, &mut twin);
+        let of_excess = self.add_excess(&active.stencil.active_mask(), &mut twin);
         let area = grid.dx * grid.dx;
         let speed = active_speed(&grid, &active.stencil, velocity);
         let of_cavities = both.map_or(0.0, |both| self.fill_cavities(both, &active, &mut twin));
@@ -559,8 +510,7 @@ impl<'a> LiquidComparison<'a> {
         for &cell in active.closed.iter().flatten() {
             closed[cell] = true;
         }
-        let flags = |cell: usize| Some((number(after.closed[cell]), number(closed[cell]), 0.0));
-        self.table.cells(&grid, ["closed components", "flag"], flags);
+        self.table.cell_flags("closed components", &after.closed, &closed);
         let mut rhs: Vec<f64> = twin.values.iter().map(|b| b / area).collect();
         if let Some(clip) = clip {
             for &(cell, flux) in clip.obstacles().flux() {
@@ -578,7 +528,7 @@ impl<'a> LiquidComparison<'a> {
             reference::remove_means(&active.closed, &mut rhs);
             bound += 4.0 * EPS * largest(gross);
         }
-        self.table.cells(&grid, ["E u* / dx^2", "m/s"], |cell| {
+        self.table.cells(["E u* / dx^2", "m/s"], |cell| {
             let numbers = (gpu[cell], rhs[cell], bound);
             active.stencil.active(cell).then_some(numbers)
         });
@@ -616,12 +566,10 @@ impl<'a> LiquidComparison<'a> {
             self.theta_floor(),
             &mut twin,
         );
-        let running = self.running.running;
-        reference::carry_faces(&self.taps, &self.cut.open, running, &mut twin, &mut valid);
-        self.table.faces(&grid, ["valid faces", "flag"], |a, face| {
-            Some((number(after.valid[a][face]), number(valid[a][face]), 0.0))
-        });
-        self.table.faces(&grid, ["u", "m/s"], |a, face| {
+        reference::carry_faces(&self.taps, &self.cut.open, self.running.running, &mut twin, &mut valid);
+        let flags = |a: usize, face: usize| Some((number(after.valid[a][face]), number(valid[a][face]), 0.0));
+        self.table.faces(["valid faces", "flag"], flags);
+        self.table.faces(["u", "m/s"], |a, face| {
             let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
             let change = (twin - u_star[a][face]).abs();
             let bound = EPS * (13.0 * change + 2.0 * twin.abs());
@@ -634,77 +582,43 @@ impl<'a> LiquidComparison<'a> {
     fn extrapolate(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
         let layers = reference::n_layers(self.scene.time.cfl);
-        let walls = clip.map(|clip| MovingWalls {
-            clip,
-            triangles: both.map_or(&[], |both| &both.at_rest.triangles),
-            velocity: both.map_or(&[], |both| &both.solids.velocity),
-        });
-        let nodes = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
+        let (triangles, nodes): (&[_], &[_]) =
+            both.map_or((&[], &[]), |both| (&both.at_rest.triangles, &both.solids.velocity));
+        let walls = clip.map(|clip| MovingWalls { clip, triangles, velocity: nodes });
         let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().wall_velocities());
         let obstacles = obstacles.iter().map(|(_, v)| v.abs().max_element());
-        let wall_speed = largest(nodes.iter().map(|v| v.abs()).chain(obstacles));
+        let wall_speed = largest(nodes.as_flattened().iter().map(|v| v.abs()).chain(obstacles));
         let speed = 3.0 * wall_speed + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        let largest = match Effects::of(self.scene).maccormack {
-            true => self.step.largest_slope.into(),
-            false => 0.0,
-        };
+        let largest = if Effects::of(self.scene).maccormack { self.step.largest_slope.into() } else { 0.0 };
         let extent = (layers, largest);
         let held = Effects::of(self.scene).separation.then(|| {
             let pairs = self.before.active.iter().zip(&self.before.separated);
             pairs.map(|(active, separated)| *active && !*separated).collect::<Vec<_>>()
         });
-        let walls = (walls, held.as_deref());
-        reference::extrapolate_one_sided(&grid, &self.cut, walls, valid, extent, &mut twin);
+        reference::extrapolate_one_sided(&grid, &self.cut, (walls, held.as_deref()), valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
         let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
-        for axis in Axis::ALL {
+        let cut = self.cuts().then_some(&self.cut);
+        self.table.judge_faces(["u", "m/s"], |axis, face| {
             let a = axis.index();
-            let pairs = (0..grid.n_faces(axis)).map(|face| {
-                // Outside the band the device has no velocities, not even those of bodies.
-                let twin = if after.face_band[a][face] { twin[a][face] } else { 0.0 };
-                let gpu = after.velocity[a][face];
-                let slip = match self.cuts() && self.cut.open[a][face] == 0.0 {
-                    true => self.slip_roundings(axis, face),
-                    false => Some(0.0),
-                };
-                // With free slip or without it, no face is faster than a vector of three such components.
-                let possible = gpu.abs() <= 3.0_f64.sqrt() * speed + means;
-                let excused = slip.is_none() && possible && (gpu - twin).abs() > means;
-                let bound = means + EPS * speed * slip.unwrap_or(0.0);
-                let place = Place::face(&grid, axis, face);
-                (!excused).then_some((gpu, twin, bound, place))
-            });
-            let pairs: Vec<_> = pairs.collect();
-            self.table.judge(["u", "m/s"], pairs);
-        }
+            // Outside the band the device has no velocities, not even those of bodies.
+            let twin = if after.face_band[a][face] { twin[a][face] } else { 0.0 };
+            let gpu = after.velocity[a][face];
+            let slip = match cut.filter(|cut| cut.open[a][face] == 0.0) {
+                Some(cut) => slip_roundings(&grid, &cut.solid_distance, axis, face),
+                None => Some(0.0),
+            };
+            // With free slip or without it, no face is faster than a vector of three such components.
+            let possible = gpu.abs() <= 3.0_f64.sqrt() * speed + means;
+            let excused = slip.is_none() && possible && (gpu - twin).abs() > means;
+            Some((!excused).then(|| (gpu, twin, means + EPS * speed * slip.unwrap_or(0.0))))
+        });
         self.twin.velocity = twin;
         let worst = self.table.row(["u", "m/s"]).worst;
         self.twin.velocity_bound = worst.map_or(means, |worst| means.max(worst.bound));
-    }
-
-    /// Error of the direction along an obstacle at a closed face, in roundings of the speed; `None` where rounding decides whether the face slips.
-    fn slip_roundings(&self, axis: Axis, face: usize) -> Option<f64> {
-        let (grid, distance) = (&self.grid, &self.cut.solid_distance);
-        let ijk = grid.face_at(axis, face);
-        if grid.face_sides(axis, ijk).contains(&None) {
-            return Some(0.0);
-        }
-        let x = grid.face_centre(axis, ijk);
-        let at = |x: DVec3| grid.sample_cells(distance, x);
-        // The mean of two distances, and half a cell.
-        if (at(x) - 0.5 * grid.dx).abs() <= EPS * 4.0 * 3.0 * grid.dx {
-            return None;
-        }
-        let gradient = DVec3::from([0, 1, 2].map(|b| {
-            let half = DVec3::AXES[b] * (0.5 * grid.dx);
-            (at(x + half) - at(x - half)) / grid.dx
-        }));
-        let length = gradient.length();
-        // Below 1e-6 there is no direction; near it rounding decides.
-        (length >= 1e-5).then(|| 4.0 * 3.0 / length)
     }
 
     /// Sums: [`LiquidComparison::sum_error`]. The largest speed copies a number. Divergence: twelve products summed, rounded to f32 and multiplied by
@@ -730,8 +644,7 @@ impl<'a> LiquidComparison<'a> {
         }
         let (cut, velocity, open) = (&self.cut, &after.velocity, self.open_to_flux());
         // Separated cells open.
-        let masked = after.separated.contains(&true);
-        let masked = masked.then(|| stencil.masked(&after.separated));
+        let masked = after.separated.contains(&true).then(|| stencil.masked(&after.separated));
         let solved = masked.as_ref().unwrap_or(&stencil);
         let left = reference::divergence(&open, velocity, solved, boundary_flux.as_deref());
         let mut twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
@@ -771,18 +684,10 @@ impl<'a> LiquidComparison<'a> {
     fn diagnose_coupling(&mut self, after: &LiquidSnapshot, both: &Both) {
         let Some(report) = both.report else { return };
         let [force, gross] = both.force(self.pascal());
-        let sums = |values: &[f64]| {
-            let nodes = values.as_chunks::<3>().0.iter();
-            nodes.map(|force| DVec3::from(*force)).sum::<DVec3>()
-        };
-        let (twin, gross) = (sums(&force), sums(&gross));
-        let bound = (4.0 * EPS + 64.0 * unit(after.real)) * gross.length();
-        for axis in 0..3 {
-            let (gpu, twin) = (report.force[axis], twin[axis]);
-            self.table.whole(["J^T p", "N"], gpu, twin, bound);
-        }
-        let touching = (report.touching, both.touch(), Place::Whole);
-        self.table.add_flags("touching", [touching]);
+        let sums = |values: &[f64]| values.as_chunks::<3>().0.iter().map(|force| DVec3::from(*force)).sum::<DVec3>();
+        let bound = (4.0 * EPS + 64.0 * unit(after.real)) * sums(&gross).length();
+        self.table.add(["J^T p", "N"], components(report.force, sums(&force).into(), bound, Place::Whole));
+        self.table.add(["touching", "flag"], [flag(report.touching, both.touch(), Place::Whole)]);
     }
 
     /// Probes of the device's fields, and of those of the twins. Velocity and pressure are means, so their error is that of the fields. Heights and
@@ -809,14 +714,12 @@ impl<'a> LiquidComparison<'a> {
             let read = |state: &State| reference::probe(&grid, &self.cut.open, state, &probe.kind);
             match &probe.kind {
                 ProbeKind::Pressure { .. } => {
-                    let rounding = 1e-12 * read(&gpu)[0].abs();
-                    let bound = self.twin.pressure_bound + rounding;
-                    pairs.push(("pressure", "Pa", read(&gpu)[0], read(&twin)[0], bound));
+                    let (gpu, twin) = (read(&gpu)[0], read(&twin)[0]);
+                    pairs.push(("pressure", "Pa", gpu, twin, self.twin.pressure_bound + 1e-12 * gpu.abs()));
                 }
                 ProbeKind::Velocity { .. } => {
-                    for (gpu, twin) in read(&gpu).into_iter().zip(read(&twin)) {
-                        pairs.push(("velocity", "m/s", gpu, twin, self.twin.velocity_bound));
-                    }
+                    let both = read(&gpu).into_iter().zip(read(&twin));
+                    pairs.extend(both.map(|(gpu, twin)| ("velocity", "m/s", gpu, twin, self.twin.velocity_bound)));
                 }
                 ProbeKind::Height { .. } | ProbeKind::Front { .. } => {
                     let [twin, low, high] = [0, 1, 2].map(|s| read(&surfaces[s])[0]);
@@ -841,10 +744,30 @@ impl<'a> LiquidComparison<'a> {
         }
         self.table.stage = "probes";
         for (column, (quantity, unit, gpu, twin, bound)) in pairs.into_iter().enumerate() {
-            let pair = (gpu, twin, bound, Place::Column(column));
-            self.table.add([quantity, unit], [pair]);
+            self.table.add([quantity, unit], [(gpu, twin, bound, Place::Column(column))]);
         }
     }
+}
+
+/// Error of the direction along an obstacle at a closed face, in roundings of the speed; `None` where rounding decides whether the face slips.
+fn slip_roundings(grid: &Grid, solid_distance: &[f64], axis: Axis, face: usize) -> Option<f64> {
+    let ijk = grid.face_at(axis, face);
+    if grid.face_sides(axis, ijk).contains(&None) {
+        return Some(0.0);
+    }
+    let x = grid.face_centre(axis, ijk);
+    let at = |x: DVec3| grid.sample_cells(solid_distance, x);
+    // The mean of two distances, and half a cell.
+    if (at(x) - 0.5 * grid.dx).abs() <= EPS * 4.0 * 3.0 * grid.dx {
+        return None;
+    }
+    let gradient = DVec3::from(DVec3::AXES.map(|axis| {
+        let half = axis * (0.5 * grid.dx);
+        (at(x + half) - at(x - half)) / grid.dx
+    }));
+    let length = gradient.length();
+    // Below 1e-6 there is no direction; near it rounding decides.
+    (length >= 1e-5).then(|| 4.0 * 3.0 / length)
 }
 
 /// A marker after its advection: on the GPU, of the twin, bound (m), place, and whether it is excused.
@@ -856,8 +779,7 @@ fn advected(
     bound: impl Fn(DVec3) -> f64 + Sync,
     advect: impl Fn(usize, [f64; 3]) -> Marker + Sync,
 ) -> Vec<Advected> {
-    let slots = before.par_iter().zip(after).enumerate();
-    let rows = slots.map(|(slot, (start, gpu))| {
+    let rows = before.par_iter().zip(after).enumerate().map(|(slot, (start, gpu))| {
         let place = Place::Marker(slot, start.unwrap_or_default().into());
         let bound = start.map_or(0.0, |start| bound(start.into()));
         let twin = start.and_then(|start| advect(slot, start));
@@ -879,11 +801,8 @@ fn close(gpu: &Marker, twin: &Marker, bound: f64) -> bool {
 /// Whether the rounding of its start decides the end of a marker: the gradient of the distance jumps, or its sign changes. Compares with starts
 /// shifted by the bound (m) along each diagonal.
 fn depends_on_start(start: [f64; 3], gpu: &Marker, bound: f64, advect: impl Fn([f64; 3]) -> Marker) -> bool {
-    let shifted = corners().map(|corner| advect((DVec3::from(start) + bound * corner).into()));
-    let shifted: Vec<Marker> = shifted.collect();
-    let Some(x) = gpu else {
-        return shifted.iter().any(Option::is_none);
-    };
+    let shifted: Vec<Marker> = corners().map(|corner| advect((DVec3::from(start) + bound * corner).into())).collect();
+    let Some(x) = gpu else { return shifted.iter().any(Option::is_none) };
     (0..3).all(|a| {
         let ends = || shifted.iter().flatten().map(|end| end[a]);
         let low = ends().fold(f64::INFINITY, f64::min);
@@ -897,7 +816,7 @@ const DIRICHLET_ROUNDINGS: f64 = 17.0;
 
 /// Largest speed of a face of an active cell, m/s.
 fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64 {
-    let speeds = stencil.active_cells().into_iter().flat_map(|cell| {
+    largest(stencil.active_cells().into_iter().flat_map(|cell| {
         Axis::ALL.into_iter().flat_map(move |axis| {
             let a = axis.index();
             [0, 1].map(|side| {
@@ -906,8 +825,7 @@ fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64
                 velocity[a][grid.face(axis, face)].abs()
             })
         })
-    });
-    largest(speeds)
+    }))
 }
 
 /// Position of a marker (m) beyond every cell border that is within its rounding in cells.
@@ -917,10 +835,9 @@ fn across_borders(grid: &Grid, x: [f64; 3]) -> [f64; 3] {
         let cells = x / dx;
         let border = cells.round();
         let rounding = 3.0 * EPS * cells.max(1.0);
-        if border > 0.0 && (cells - border).abs() <= rounding {
-            (border - rounding * (cells - border + 1e-30).signum()) * dx
-        } else {
-            x
+        match border > 0.0 && (cells - border).abs() <= rounding {
+            true => (border - rounding * (cells - border + 1e-30).signum()) * dx,
+            false => x,
         }
     })
 }

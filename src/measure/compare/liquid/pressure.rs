@@ -25,8 +25,7 @@ const ROUGH_MARGIN: f64 = 1.01;
 impl LiquidComparison<'_> {
     /// m/s of potential as pressure, Pa.
     pub(super) fn in_pascal(&self, potential: &[f64]) -> Vec<f64> {
-        let scale = self.pascal();
-        potential.iter().map(|phi| scale * phi).collect()
+        potential.iter().map(|phi| self.pascal() * phi).collect()
     }
 
     /// Pressure of a potential of 1 m/s, Pa.
@@ -38,16 +37,13 @@ impl LiquidComparison<'_> {
     /// [`PressureSystem::take_growing`], and a row says whether their room grows as it must.
     pub(in super::super) fn release(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
-        let Some(active) = &mut self.twin.active else {
-            return;
-        };
+        let Some(active) = &mut self.twin.active else { return };
         let separates = |component: &Vec<usize>| component.iter().any(|&cell| after.separated.get(cell) == Some(&true));
         let (opened, closed) = std::mem::take(&mut active.closed).into_iter().partition(separates);
         active.closed = closed;
         let mut taken = vec![0.0; grid.n_cells()];
         let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux()).iter().copied();
-        let open = clip.map(|clip| &clip.cut_cells().open);
-        let sources = self.taps.boundary_flux(&grid, open, self.running.running);
+        let sources = self.taps.boundary_flux(&grid, clip.map(|clip| &clip.cut_cells().open), self.running.running);
         obstacles.chain(sources).for_each(|(cell, flux)| taken[cell] += flux / (grid.dx * grid.dx));
         let by_solids = both.map(|both| both.constrained_flux(grid.dx, &after.active));
         for component in &opened {
@@ -79,15 +75,11 @@ impl LiquidComparison<'_> {
             Some(both) => self.subtract_flux(after, both),
             None => 0.0,
         };
-        let active = self.twin.active.take();
-        let mut twin_active = active.expect("active_cells comes before solve");
+        let mut twin_active = self.twin.active.take().expect("active_cells comes before solve");
         // B alone does not determine the pressure level of a component beside solids: it is taken from the device.
         twin_active.closed.append(&mut twin_active.sealed);
-        let settings = Solver {
-            tolerance: EXACT.min(1e-2 * self.scene.solver.tolerance),
-            max_iterations: 10_000,
-            ..self.scene.solver
-        };
+        let solver = self.scene.solver;
+        let settings = Solver { tolerance: EXACT.min(1e-2 * solver.tolerance), max_iterations: 10_000, ..solver };
         let active = self.stored(after);
         let mut rhs = after.rhs.clone();
         remove_means(&active.closed, &mut rhs);
@@ -101,12 +93,9 @@ impl LiquidComparison<'_> {
         let unmasked = assembled.stencil.dirichlet.clone();
         let assembled = masked(assembled);
         // The device sums the free-surface terms beside separated cells again.
-        let sums = assembled.stencil.dirichlet.iter().zip(&unmasked);
-        let summed = sums.zip(&after.potential);
-        let summed = summed.map(|((term, before), phi)| match term == before {
-            true => 0.0,
-            false => DIRICHLET_ROUNDINGS * EPS * term * phi.abs(),
-        });
+        let terms = assembled.stencil.dirichlet.iter().zip(&unmasked).zip(&after.potential);
+        let summed = terms.filter(|((term, before), _)| term != before);
+        let summed = summed.map(|((term, _), phi)| DIRICHLET_ROUNDINGS * EPS * term * phi.abs());
         let start = (start, norm(&summed.collect::<Vec<_>>()));
         let (mut solution, _) = solve(&stored, &settings)?;
         let (mut twin, _) = solve(&assembled, &settings)?;
@@ -143,11 +132,10 @@ impl LiquidComparison<'_> {
         let [flux, gross] = both.flux(grid.dx, &open);
         let constrained = both.constrained_flux(grid.dx, &open);
         let before = &self.before.rhs;
-        let left = before.iter().zip(&constrained);
-        let left: Vec<f64> = left.map(|(b, constrained)| b - constrained).collect();
+        let left: Vec<f64> = before.iter().zip(&constrained).map(|(b, constrained)| b - constrained).collect();
         let opened = &self.twin.opened;
         let reassembled = |cell: usize| if opened[cell] { self.twin.rhs_bound } else { 0.0 };
-        self.table.cells(&grid, ["E u* - J v", "m/s"], |cell| {
+        self.table.cells(["E u* - J v", "m/s"], |cell| {
             let rounded = unit(after.real) * 8.0 * before[cell].abs();
             // Areas over dx^2 are f32, and so is the dx of this grid.
             let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded + reassembled(cell);
@@ -184,16 +172,14 @@ impl LiquidComparison<'_> {
             // Half of this passes as rounding of the unknowns; the device evaluates the residual with such roundings too.
             target = target.max(spread);
         }
-        let quantity = ["true residual", "m/s"];
-        self.table.whole(quantity, residual, 0.0, target + spread);
+        self.table.whole(["true residual", "m/s"], residual, 0.0, target + spread);
         // No entry of a residual exceeds its norm.
         let mask = stored.stencil.active_mask();
         let allowed = mask.iter().map(|&active| if active { target } else { 0.0 });
         let reach = majorant(&stored.stencil, &stored.closed, allowed.collect());
         let pascal = self.pascal();
-        let bounds = reach.iter().zip(&rounded);
-        let bounds: Vec<f64> = bounds.map(|(reach, rounded)| pascal * (reach + rounded)).collect();
-        self.table.cells(&self.grid, ["pressure", "Pa"], |cell| {
+        let bounds: Vec<f64> = reach.iter().zip(&rounded).map(|(reach, rounded)| pascal * (reach + rounded)).collect();
+        self.table.cells(["pressure", "Pa"], |cell| {
             let (gpu, twin) = (pascal * after.potential[cell], pascal * solution[cell]);
             mask[cell].then_some((gpu, twin, bounds[cell]))
         });
@@ -211,22 +197,17 @@ impl LiquidComparison<'_> {
         solve_bounds: Vec<f64>,
     ) {
         let (grid, pascal) = (self.grid, self.pascal());
-        let difference: Vec<f64> = (0..grid.n_cells())
-            .map(|cell| {
-                if !assembled.stencil.active(cell) {
-                    return 0.0;
-                }
-                let surface = assembled.stencil.dirichlet[cell] * twin[cell].abs();
-                self.twin.rhs_bound + DIRICHLET_ROUNDINGS * EPS * surface
-            })
-            .collect();
-        let reach = majorant(&assembled.stencil, &assembled.closed, difference);
+        let surface = |cell: usize| assembled.stencil.dirichlet[cell] * twin[cell].abs();
+        let difference = |cell: usize| match assembled.stencil.active(cell) {
+            true => self.twin.rhs_bound + DIRICHLET_ROUNDINGS * EPS * surface(cell),
+            false => 0.0,
+        };
+        let differences = (0..grid.n_cells()).map(difference).collect();
+        let reach = majorant(&assembled.stencil, &assembled.closed, differences);
         let bound = |cell: usize| pascal * (reach[cell] + 1e3 * EXACT * twin[cell].abs());
         self.table.stage = "assembly";
-        self.table.cells(&grid, ["pressure", "Pa"], |cell| {
-            let (stored_p, twin) = (pascal * solution[cell], pascal * twin[cell]);
-            let numbers = (stored_p, twin, bound(cell));
-            stored.stencil.active(cell).then_some(numbers)
+        self.table.cells(["pressure", "Pa"], |cell| {
+            stored.stencil.active(cell).then_some((pascal * solution[cell], pascal * twin[cell], bound(cell)))
         });
         let cells = (0..grid.n_cells()).filter(|&cell| stored.stencil.active(cell));
         self.twin.pressure_bound = largest(cells.map(|cell| solve_bounds[cell] + bound(cell)));
@@ -250,8 +231,7 @@ fn unit_system(active: ActiveCells, rhs: Vec<f64>, rhs_scale: f64) -> PressureSy
 /// |B| |x| per cell.
 fn magnitudes(stencil: &Stencil, x: &[f64]) -> Vec<f64> {
     let magnitude = |cell: usize| {
-        let others = stencil.neighbours(cell);
-        let others = others.iter().map(|&(at, weight)| weight * x[at].abs());
+        let others = stencil.neighbours(cell).into_iter().map(|(at, weight)| weight * x[at].abs());
         stencil.diagonal[cell] * x[cell].abs() + others.sum::<f64>()
     };
     (0..x.len()).map(magnitude).collect()
