@@ -1,7 +1,7 @@
-// Stage right_hand_side, with cavities of solids: the smallest root of the sealed components that touch each cavity, in a cell beside its nodes alone.
-// One thread per wet quad.
-// coupling, words, quad_pairs: see coupling_flux. flags, labels: see active, components. cavity_of_node: from 1, 0 for none. cavities: root and
-// rate (1/s, f32) of each; roots are NONE before.
+// Stage right_hand_side, with cavities of solids: the smallest root of the sealed components that touch each cavity, in a cell whose patches belong to
+// it alone. One thread per wet quad.
+// coupling, words, quad_pairs: see coupling_flux. flags, labels: see active, components. cavity_of_node: from 1, 0 for none. cavities: words of
+// Cavity, six each; roots are NONE before.
 #import active
 #import components
 #import coupling
@@ -22,12 +22,11 @@ fn cavity_roots(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         return;
     }
     let quad = words[wet];
-    let flag = flags[quad];
-    let sealed = (flag >> SURFACELESS) & ~(flag >> CLOSED) & 0xfu;
+    let sealed = sealed_lanes(flags[quad]);
     if sealed == 0u {
         return;
     }
-    // Cavity of all pairs of a lane; 0 where they have none or several.
+    // Cavity of all pairs of a lane: NONE without pairs, 0 with several.
     var cavity = vec4<u32>(NONE);
     let last = words[coupling.quad_starts + wet + 1u];
     for (var at = words[coupling.quad_starts + wet]; at < last; at++) {
@@ -38,7 +37,7 @@ fn cavity_roots(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     }
     for (var l = 0u; l < 4u; l++) {
         if (sealed & (1u << l)) != 0u && cavity[l] != NONE && cavity[l] != 0u {
-            atomicMin(&cavities[2u * (cavity[l] - 1u)], labels[4u * quad + l] & ~MARKS);
+            atomicMin(&cavities[6u * (cavity[l] - 1u)], labels[4u * quad + l] & ~MARKS);
         }
     }
 }

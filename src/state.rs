@@ -51,7 +51,7 @@ pub struct State {
     pub separated: Vec<bool>,
     /// Target liquid volume, m^3, including inflow and outflow. With `surface = "level"` it includes the spray.
     pub volume_0: f64,
-    /// Volume of the liquid that filled each cavity of a solid for the first time, m^3; 0 before. Empty without liquid.
+    /// Volume of each cavity of a solid when liquid filled it for the first time, m^3; 0 before. Empty before the first sub-step.
     pub cavity_volume: Vec<f64>,
     /// Displacement of the nodes of all solids from rest, m; on the device a sum of two f32.
     pub displacement: Vec<[f64; 3]>,

@@ -10,6 +10,11 @@ const HELD_ROOT = 16u;
 const BALLISTIC = 20u;
 const FILLED = 24u;
 
+// Lanes of a word in sealed components, as bits.
+fn sealed_lanes(flag: u32) -> u32 {
+    return (flag >> SURFACELESS) & ~(flag >> CLOSED) & 0xfu;
+}
+
 fn active_quad(entry: u32) -> u32 {
     return entry & 0x7fffffffu;
 }

@@ -1,4 +1,4 @@
-//! Cavities of solids: rooms bounded by a closed part of a solid's surface.
+//! Cavities of solids: volumes enclosed by a closed part of a solid's surface.
 
 use std::collections::BTreeMap;
 
@@ -6,6 +6,9 @@ use glam::DVec3;
 
 use super::Solids;
 use crate::scene::{CouplingScheme, Scene};
+
+/// Least volume of a cavity with a source, cells: the grid does not resolve smaller ones.
+const LEAST_CELLS: f64 = 8.0;
 
 /// The cavities of all solids, in the order of their first triangles.
 #[derive(Clone, Debug, Default)]
@@ -17,14 +20,19 @@ pub struct Cavities {
 }
 
 impl Cavities {
-    /// Finds the parts of the surfaces at rest that enclose a room.
+    /// Finds the parts of the surfaces at rest that enclose a volume. Parts that share a node are one.
     pub fn new(solids: &Solids) -> Cavities {
+        Cavities::larger(solids, 0.0)
+    }
+
+    /// The same of more than a least volume, m^3.
+    fn larger(solids: &Solids, least: f64) -> Cavities {
         let mut parts: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
         let first_node = first_nodes(solids);
         for &triangle in &solids.triangles {
             parts.entry(first_node[triangle[0] as usize]).or_default().push(triangle);
         }
-        let encloses = |part: &Vec<[u32; 3]>| room(part, |node| solids.rest[node as usize]) > 0.0;
+        let encloses = |part: &Vec<[u32; 3]>| enclosed_volume(part, |node| solids.rest[node as usize]) > least;
         let triangles: Vec<Vec<[u32; 3]>> = parts.into_values().filter(encloses).collect();
         let mut of_node = vec![0; solids.rest.len()];
         for (number, part) in (1..).zip(&triangles) {
@@ -33,12 +41,14 @@ impl Cavities {
         Cavities { triangles, of_node }
     }
 
-    /// The cavities whose liquid is solved for together with the solids; none in other couplings.
+    /// The cavities that keep the volume of liquid which fills them: in strong coupling, where no liquid enters or leaves through sources and sinks,
+    /// and of at least 8 cells.
     pub fn in_liquid(scene: &Scene, solids: &Solids) -> Cavities {
-        match scene.liquid.is_some() && scene.solver.coupling == CouplingScheme::Strong {
-            true => Cavities::new(solids),
-            false => Cavities::default(),
+        let exchanges = !scene.sources.is_empty() || !scene.sinks.is_empty();
+        if scene.liquid.is_none() || scene.solver.coupling != CouplingScheme::Strong || exchanges {
+            return Cavities::default();
         }
+        Cavities::larger(solids, LEAST_CELLS * scene.grid().cell_volume())
     }
 
     /// Number of cavities.
@@ -59,11 +69,11 @@ impl Cavities {
     /// Volumes, m^3, from the displacement of all nodes, m. That of a cavity inside out is negative.
     pub fn volumes(&self, solids: &Solids, displacement: &[[f64; 3]]) -> Vec<f64> {
         let position = |node: u32| solids.rest[node as usize] + DVec3::from(displacement[node as usize]);
-        self.triangles.iter().map(|part| room(part, position)).collect()
+        self.triangles.iter().map(|part| enclosed_volume(part, position)).collect()
     }
 }
 
-/// The smallest node of the part of the surface that each node belongs to; of other nodes themselves.
+/// The smallest node of the part of the surface that each node belongs to; other nodes: the node itself.
 fn first_nodes(solids: &Solids) -> Vec<u32> {
     let mut first: Vec<u32> = (0..solids.rest.len() as u32).collect();
     fn find(first: &mut [u32], mut node: u32) -> u32 {
@@ -82,8 +92,8 @@ fn first_nodes(solids: &Solids) -> Vec<u32> {
     (0..solids.rest.len() as u32).map(|node| find(&mut first, node)).collect()
 }
 
-/// Volume on the outer side of closed triangles (divergence theorem), from one of their corners for fewer digits lost.
-fn room(triangles: &[[u32; 3]], position: impl Fn(u32) -> DVec3) -> f64 {
+/// Volume that closed triangles enclose on their outer side (divergence theorem), from one of their corners for fewer digits lost.
+fn enclosed_volume(triangles: &[[u32; 3]], position: impl Fn(u32) -> DVec3) -> f64 {
     let origin = position(triangles[0][0]);
     let of_triangle = |corners: &[u32; 3]| {
         let [a, b, c] = corners.map(|corner| position(corner) - origin);

@@ -28,6 +28,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/ballistic"),
     crate::wgsl!("common/ballistic_body"),
     crate::wgsl!("common/body_end"),
+    crate::wgsl!("common/cavities"),
     crate::wgsl!("common/chebyshev"),
     crate::wgsl!("common/classes"),
     crate::wgsl!("common/compact"),

@@ -508,14 +508,15 @@ pub struct RowSearch {
     response: Vec<f64>,
     fewest: usize,
     patience: u32,
-    /// The set whose solution misses the rows least since the start or the last change of f, and whether it is that of the last solution.
-    best: Option<Missing>,
+    /// Best set since the start or the last change of f; none where a solution met all rows.
+    best: Option<BestSet>,
+    /// Whether the last solution is that of the best set.
     best_is_last: bool,
 }
 
-/// A solution that misses rows.
+/// Held rows whose solution missed the rows least.
 #[derive(Clone, Debug)]
-struct Missing {
+struct BestSet {
     held: Vec<bool>,
     slipping: Vec<f64>,
     /// Rows that are wrong.
@@ -546,7 +547,7 @@ impl RowSearch {
         (self.fewest, self.patience) = (usize::MAX, PATIENCE);
     }
 
-    /// At the end of a search: returns to the rows whose solution missed them least, and returns how many it missed; `None` where it was the last.
+    /// Ends a search: returns to the best set, and returns how many rows its solution missed; `None` where it was the last.
     pub fn return_to_best(&mut self) -> Option<usize> {
         let best = self.best.take_if(|_| !self.best_is_last)?;
         (self.held, self.slipping) = (best.held, best.slipping);
@@ -569,9 +570,9 @@ impl RowSearch {
     }
 
     /// Changes the rows to hold after a solution with forces `lambda` of the held rows, and returns how many were wrong, and whether another solve
-    /// is worth it. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After eight solutions in a row without
+    /// is worth it. `sound`: whether the solve converged and met the held rows. Rows that pull are wrong where no lambda >= 0 of the held rows has the same effect. After eight solutions in a row without
     /// fewer wrong rows the search ends.
-    pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64]) -> (usize, bool) {
+    pub fn exchange(&mut self, system: &UnilateralRows, lambda: &[f64], v: &[f64], sound: bool) -> (usize, bool) {
         let n = system.n();
         let mut lambda = lambda.to_vec();
         lambda.iter_mut().zip(&self.slipping).for_each(|(lambda, slipping)| *lambda += slipping);
@@ -603,6 +604,10 @@ impl RowSearch {
         let velocity = |i: usize| match self.held[i] {
             true if i < n_normal => -lambda[i] * system.matrix[n * i + i],
             false if i < n_normal => -slacks[i],
+            // Friction along the slip, which it drives.
+            false if lambda[i] * slacks[i] > 0.0 => {
+                slacks[i].abs().min((lambda[i].abs() + most[i]) * system.matrix[n * i + i])
+            }
             _ => (lambda[i].abs() - most[i]).abs() * system.matrix[n * i + i],
         };
         let missing = (0..n_normal).filter(wrong).chain((n_normal..n).filter(rubs_wrong));
@@ -612,10 +617,10 @@ impl RowSearch {
             self.best_is_last = true;
             return (0, false);
         }
-        self.best_is_last = self.best.as_ref().is_none_or(|best| velocity < best.velocity);
+        self.best_is_last = sound && self.best.as_ref().is_none_or(|best| velocity < best.velocity);
         if self.best_is_last {
             let (held, slipping) = (self.held.clone(), self.slipping.clone());
-            self.best = Some(Missing { held, slipping, wrong, velocity });
+            self.best = Some(BestSet { held, slipping, wrong, velocity });
         }
         match wrong < self.fewest {
             true => (self.fewest, self.patience) = (wrong, PATIENCE),

@@ -341,7 +341,7 @@ pub(super) fn solve_coupled_in_rows(
             let solution = &solved.1;
             let found_all = solution.reports[0].status.is_best_attainable();
             let exchanged;
-            (unsettled, exchanged) = search.exchange(&rows, &lambda, solution.velocity.as_flattened());
+            (unsettled, exchanged) = search.exchange(&rows, &lambda, solution.velocity.as_flattened(), found_all);
             best = solved;
             if !exchanged || !found_all {
                 break;

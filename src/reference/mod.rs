@@ -68,7 +68,7 @@ pub use advect_markers::{Lost, Surface, advect_level_markers, advect_markers, vo
 pub use advect_velocity::{advect_velocity, advect_velocity_maccormack};
 pub use ballistic::{Ballistic, ballistic_bodies, ballistic_cells, hold_near_others, wet_nodes};
 pub use bound_level::{bound_level, thin_liquid};
-pub use cavities::{CavityMotion, cavity_rate, fill_cavities};
+pub use cavities::{CavityMotion, FILLS, cavity_source, fill_cavities};
 pub use condition::{Condition, Conditions, conditions};
 pub use contact_rows::{MOST_COUPLED, MOST_MEETINGS, Touching, first_contact_step};
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};

@@ -41,7 +41,7 @@ pub(super) struct Model {
 #[derive(Clone, Debug)]
 pub(super) struct SolidModel {
     pub(super) solids: Solids,
-    /// None without liquid.
+    /// See [`Cavities::in_liquid`].
     pub(super) cavities: Cavities,
     pub(super) pattern: Arc<BlockPattern>,
     pub(super) solver: SolidSolver,

@@ -14,7 +14,7 @@ use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
 use crate::linalg::Row;
-use crate::reference::{MOST_COUPLED, MOST_MEETINGS, cavity_rate};
+use crate::reference::{FILLS, MOST_COUPLED, MOST_MEETINGS, cavity_source};
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
     Aim, CoupledFields, CoupledOutcome, CoupledSolver, Outcome, Polynomial, RowLimits, RowSolves, Weak, WeakBuffers,
@@ -51,7 +51,7 @@ pub(super) struct GpuCoupling {
     /// Clipping of the present solids and obstacles.
     pub(super) clip: SolidClip,
     pub(super) cavities: Cavities,
-    /// Their volumes, m^3.
+    /// Volumes after the move, m^3; empty before the first sub-step.
     cavity_volumes: Vec<f64>,
     capacity: Capacity,
     on_device: ClipBuffers,
@@ -71,7 +71,7 @@ pub(super) struct GpuCoupling {
 pub(super) struct CouplingReadbacks {
     report: Readback<u32>,
     components: Readback<u32>,
-    /// Where solids have some.
+    /// `None` without cavities.
     cavities: Option<Readback<u32>>,
 }
 
@@ -91,6 +91,8 @@ pub(super) struct Solved {
     /// Whether the solve used the Schur-complement form.
     pub(super) condensed: bool,
     pub(super) contact: ContactReport,
+    /// Right-hand side of the solids with the forces of contact, N, for the end of the sub-step; `None` where the device has it.
+    pub(super) pushed: Option<Vec<f64>>,
 }
 
 /// The kernels of a sub-step, in order.
@@ -99,7 +101,7 @@ pub(super) struct CouplingStages {
     pub(super) clip: Dispatches,
     pub(super) move_solid: Dispatches,
     pub(super) closed_components: Seal,
-    /// Where solids have some.
+    /// `None` without cavities.
     pub(super) filled_cavities: Option<FilledCavities>,
     pub(super) patch_pressure: Option<PatchPressure>,
     scheme: Scheme,
@@ -217,7 +219,7 @@ fn solve_in_rows(
     (at, polynomial): (CoupledFields, Polynomial),
     (contacts, solids, displacement): (&GpuContacts, &GpuSolids, &[[f64; 3]]),
     rounds: Option<&mut Rounds>,
-) -> Result<(CoupledOutcome, ContactReport, StageTimes), Error> {
+) -> Result<(CoupledOutcome, ContactReport, Option<Vec<f64>>, StageTimes), Error> {
     let dx = solids.buffers.plan.grid.dx;
     let mut last = Vec::new();
     let mut rows = |velocity: &[f64], known: &[Row]| {
@@ -245,12 +247,11 @@ fn solve_in_rows(
                 Ok((solve(recorder, Some(aim))?, false))
             })?;
             restoring.submit();
-            solves.finish(gpu);
             outcome
         }
     };
     contacts.touching(&solids.solids, dx, displacement, |touching| touching.shorten(&last, &mut contact));
-    Ok((outcome, contact, times))
+    Ok((outcome, contact, solves.pushed(), times))
 }
 
 /// Result of a solve. `separation`: status and report of the rounds, for the liquid.
@@ -264,7 +265,7 @@ fn settled(
         liquid.n_separated = report.cells;
         liquid.separation = Some(report);
     }
-    Solved { parts, condensed, contact }
+    Solved { parts, condensed, contact, pushed: None }
 }
 
 /// Fields of the coupled solve.
@@ -418,7 +419,9 @@ impl GpuCoupling {
             self.cavity_volumes = self.cavities.volumes(&solids.solids, displacement);
             let targets = cavity_volume.iter().copied().chain(std::iter::repeat(0.0));
             let pairs = self.cavity_volumes.iter().zip(targets);
-            cavities.write(gpu, pairs.map(|(&volume, target)| cavity_rate(target, volume, span)));
+            let pairs =
+                pairs.map(|(&volume, target)| (FILLS.map(|part| part * volume), cavity_source(target, volume, span)));
+            cavities.write(gpu, pairs, grid.cell_volume());
         }
         self.write_patches(gpu, scene, (liquid, solids), &pairs, dt_last);
         Ok(())
@@ -542,7 +545,7 @@ impl GpuCoupling {
             let words = readback.wait(gpu)?;
             let targets = cavity_volume.iter_mut().zip(&self.cavity_volumes).zip(FilledCavities::filled(&words));
             let first = targets.filter(|((target, _), filled)| *filled && **target == 0.0);
-            first.for_each(|((target, volume), _)| *target = volume.max(0.0));
+            first.for_each(|((target, volume), _)| *target = *volume);
         }
         let report = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let closed_components = readbacks.components.wait(gpu)?[0];
@@ -573,11 +576,12 @@ impl GpuCoupling {
         }
         if let Some(contacts) = &solids.contacts {
             let touching = (contacts, solids, displacement);
-            let (outcome, contact, times) =
+            let (outcome, contact, pushed, times) =
                 solve_in_rows((gpu, recorder), together, (at, solids.polynomial(dt)), touching, rounds.as_mut())?;
             let parts = outcome.parts(touch.closed_components);
             let separation = rounds.map(|rounds| (rounds.status(parts[0].status), rounds.report));
-            return Ok((settled(liquid, (parts, separation), (outcome.condensed, contact)), times));
+            let solved = settled(liquid, (parts, separation), (outcome.condensed, contact));
+            return Ok((Solved { pushed, ..solved }, times));
         }
         let mut before = None;
         let mut times = StageTimes::new();

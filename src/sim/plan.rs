@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::effects::{Effect, Effects};
-use crate::elastic::{Bounds, Solids};
+use crate::elastic::{Bounds, Cavities, Solids};
 use crate::fields::SolidRows;
 use crate::geometry::{self, ObstacleCut, SolidClip, SourceFlow, SourcesAndSinks};
 use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
@@ -133,7 +133,7 @@ impl Plan {
             n_markers,
             sources: taps.flows().collect(),
             first_step,
-            effects: explained(scene, &effects, n_turning),
+            effects: explained(scene, &effects, (n_turning, Cavities::in_liquid(scene, solids).len())),
             stages: stages(&effects, scene, &gpu),
             buffers: buffers(&gpu),
             n_nodes: solids.rest.len(),
@@ -224,7 +224,7 @@ fn first_step(scene: &Scene, (solids, obstacles, taps): (&Solids, Option<&Obstac
 }
 
 /// Effects of the scene and of its meshes, such as bodies that turn.
-fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> {
+fn explained(scene: &Scene, effects: &Effects, (n_turning, n_cavities): (usize, usize)) -> Vec<Effect> {
     let mut lines = effects.explained(scene);
     let after = lines.iter().position(|line| line.name == "corotation");
     let turning = Effect {
@@ -238,6 +238,18 @@ fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> 
         },
     };
     lines.insert(after.map_or(lines.len(), |index| index + 1), turning);
+    let after = lines.iter().position(|line| line.name == "coupling");
+    let cavities = Effect {
+        name: "cavities",
+        active: n_cavities > 0,
+        reason: match n_cavities {
+            _ if !effects.coupling => "there is no liquid with solids".to_owned(),
+            0 => "no solid has a cavity of 8 cells, there are sources or sinks, or solver.coupling is not \"strong\""
+                .to_owned(),
+            n => format!("{n} in solids: liquid that fills one keeps its volume"),
+        },
+    };
+    lines.insert(after.map_or(lines.len(), |index| index + 1), cavities);
     lines
 }
 

@@ -37,6 +37,8 @@ struct StepReadback {
     /// Whether one solve was for liquid and solids together, and whether it used the Schur-complement form.
     together: bool,
     condensed: bool,
+    /// See [`Solved::pushed`](super::gpu_coupling::Solved).
+    pushed: Option<Vec<f64>>,
     liquid: Option<Report>,
     solids: Option<SolidReport>,
     coupling: Option<CouplingReport>,
@@ -325,6 +327,10 @@ impl SubStep<'_, '_> {
             self.readback.add_solve(closed);
         }
         self.flag_squeeze(squeeze.share);
+        // A repeated solve begins without the forces of contact.
+        if let Some((pushed, solids)) = self.readback.pushed.take().zip(self.path.solids.as_ref()) {
+            solids.system.rhs.upload(&self.path.gpu, &pushed);
+        }
         let to = recording(&mut self.recorder, &self.path.gpu);
         if let Some(GpuLiquid { stages, .. }) = &mut self.path.liquid {
             to.stage(Stage::ClosedComponents.name(), |pass| {
@@ -398,6 +404,7 @@ impl SubStep<'_, '_> {
         self.readback.seconds.append(&mut seconds);
         let [pressure, velocity] = solved.parts;
         self.readback.condensed = solved.condensed;
+        self.readback.pushed = solved.pushed;
         self.readback.pressure = Some(pressure);
         self.readback.velocity = Some((velocity, solved.contact));
         Ok(())

@@ -221,11 +221,9 @@ impl<'a> RowSolves<'a> {
         Ok(round.solved.finished())
     }
 
-    /// After the last round: gives the right-hand side the forces of the rows.
-    pub(crate) fn finish(&self, gpu: &Gpu) {
-        if let Some(contact) = self.contact.as_ref().filter(|contact| !contact.pushed.is_empty()) {
-            self.form.at.solids.rhs.upload(gpu, &contact.pushed);
-        }
+    /// Right-hand side of the solids with the forces of the rows, N; `None` where the device has it.
+    pub(crate) fn pushed(self) -> Option<Vec<f64>> {
+        self.contact.map(|contact| contact.pushed).filter(|pushed| !pushed.is_empty())
     }
 
     /// S^-1, in a form that needs it, after the recording. With rows the Schur-complement form is worth more wet nodes: in the other one a set of
@@ -268,7 +266,8 @@ impl Round<'_, '_> {
                 break;
             };
             velocity = solved.velocity;
-            let (wrong, exchanged) = contact.search.exchange(&contact.system, &solved.lambda, &velocity);
+            let sound = solved.missed == 0 && self.solved.is_solved();
+            let (wrong, exchanged) = contact.search.exchange(&contact.system, &solved.lambda, &velocity, sound);
             self.solved.report.unsettled = (wrong + solved.missed) as u32;
             if !exchanged || !self.solved.is_solved() {
                 break;
@@ -298,6 +297,7 @@ impl Round<'_, '_> {
         lambda.iter_mut().zip(search.slipping()).for_each(|(lambda, slipping)| *lambda += slipping);
         Ok(Some(solved))
     }
+
     /// Solves with held rows. `pushed`: right-hand side without their forces.
     fn hold(&mut self, held: HeldRows, pushed: &[f64]) -> Result<SetSolution, Error> {
         let at = self.form.at;

@@ -48,7 +48,7 @@ pub use advect_velocity::advect_velocity;
 pub use ballistic::{ballistic_bodies, wet_bodies};
 pub use band::band;
 pub use bound_level::bound_level;
-pub use cavities::FilledCavities;
+pub use cavities::{Cavity, FilledCavities};
 pub use clip::clip;
 pub use closed_components::{Components, Seal};
 pub use diagnose::{diagnose, diagnose_coupling, diagnose_solid};

@@ -75,8 +75,8 @@ poisson = 0.3
     assert!(volumes(&Solids::default(), &State::default()).is_empty());
 }
 
-/// A soft ball full of liquid is pressed flat in sub-steps of 1/24 s. Its cavity loses the square of the strain of a sub-step, up to 5 %, and has its
-/// volume again in the next ones; without the source 7 % of it are lost. A ball that is not full has no target, and its cavity shrinks.
+/// A soft ball full of liquid is pressed flat in sub-steps of 1/24 s. Its cavity loses the square of the strain of a sub-step, up to 5 %, and recovers
+/// it in the next ones; without the source it loses 7 %. A ball that is not full has no target, and its cavity shrinks.
 #[test]
 fn a_pressed_ball_keeps_its_liquid() {
     for backend in backends() {
@@ -102,32 +102,52 @@ fn a_pressed_ball_keeps_its_liquid() {
     }
 }
 
-/// The device adds the same source as the twin, from the state of each sub-step.
+/// The device adds the same source as the twin, from the state of each sub-step. In some the cavity is off its target.
 #[test]
 fn the_source_on_the_device_is_that_of_the_twin() {
-    if gpu().is_none() {
-        return;
-    }
-    let compared = compare(&ball(2e4, 0.2, ""), 10, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+    let Some(_) = gpu() else { return };
+    let (scene, frames) = (ball(2e4, 0.2, ""), 10);
+    let compared = compare(&scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
     compared.verdict().unwrap_or_else(|error| panic!("{error}"));
+    let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let mut off = 0.0_f64;
+    while simulation.clock().frame < frames {
+        simulation.step().unwrap();
+        let state = simulation.state().unwrap();
+        off = off.max((volumes(simulation.solids(), &state)[0] / state.cavity_volume[0] - 1.0).abs());
+    }
+    assert!(off > 0.01, "{off}");
 }
 
-/// A run from a state has the targets of the cavities, and thus the same bits.
+/// A run from a state, also from its checkpoint, has the targets of the cavities, and thus the same bits.
 #[test]
 fn states_have_the_targets() {
     let scene = ball(2e4, 0.2, "");
-    let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
-    while simulation.clock().frame < 8 {
-        simulation.step().unwrap();
+    for backend in backends() {
+        let mut whole = Simulation::new(&scene, &backend).unwrap();
+        while whole.clock().frame < 8 {
+            whole.step().unwrap();
+        }
+        let (state, carried) = (whole.state().unwrap(), whole.carried().unwrap());
+        assert!(state.cavity_volume[0] > 0.0);
+        let mut resumed = Simulation::new(&scene, &backend).unwrap();
+        resumed.resume(&state, &carried).unwrap();
+        let runs = [&mut whole, &mut resumed].map(|run| {
+            run.step().unwrap();
+            run.state().unwrap()
+        });
+        assert_eq!(runs[0], runs[1], "{backend:?}");
     }
-    let state = simulation.state().unwrap();
-    assert!(state.cavity_volume[0] > 0.0);
-    let mut resumed = Simulation::new(&scene, &Backend::Cpu).unwrap();
-    resumed.reset(&state).unwrap();
-    let runs = [&mut simulation, &mut resumed].map(|run| {
-        run.step().unwrap();
-        run.state().unwrap()
-    });
-    assert_eq!(runs[0].node_velocity, runs[1].node_velocity);
-    assert_eq!(runs[0].cavity_volume, runs[1].cavity_volume);
+}
+
+/// Sources and sinks change the content of cavities, so no cavity has a target beside them.
+#[test]
+fn sources_leave_no_targets() {
+    let source = "[[source]]
+box = { min = [0.45, 0.35, 0.45], max = [0.55, 0.45, 0.55] }
+velocity = [0, 0.1, 0]
+";
+    let mut simulation = Simulation::new(&ball(1e5, 0.2, source), &Backend::Cpu).unwrap();
+    simulation.step().unwrap();
+    assert!(simulation.state().unwrap().cavity_volume.is_empty());
 }

@@ -696,7 +696,8 @@ fn a_full_disk_loses_nothing() {
     let wanted = contents(&whole);
     let length = |name: &str| fs::metadata(whole.join(name)).unwrap().len();
     let frame = length("frames/dam_000006.vtp").max(length("checkpoint.npz"));
-    let blocks = frame.div_ceil(1024) + 1;
+    // Checkpoints of earlier frames compress a little less.
+    let blocks = frame.div_ceil(1024) + 4;
     assert!(length("steps.csv") > 1024 * blocks, "nothing fills up: {blocks} kB");
     let limited = |blocks: u64, more: &str| {
         let limited = format!(

@@ -247,7 +247,7 @@ fn derived_constants_match() {
 fn coupled_structs_match() {
     use cutwater::fields::{Clipped, CutQuad};
     use cutwater::solver::Wetted;
-    use cutwater::stages::PressureSlope;
+    use cutwater::stages::{Cavity, PressureSlope};
     let fields = fields!(Clipped: n_quads, n_places, first, pad);
     assert_layout("cut_quad", "Clipped", fields, size_of::<Clipped>());
     let fields = fields!(CutQuad: open, distance, quad, walls, pad_0, pad_1);
@@ -256,4 +256,6 @@ fn coupled_structs_match() {
     assert_layout("pressure_slope", "PressureSlope", fields, size_of::<PressureSlope>());
     let fields = fields!(Wetted: n, pad_0, pad_1, pad_2);
     assert_layout("wetted", "Wetted", fields, size_of::<Wetted>());
+    let fields = fields!(Cavity: root, low, high, source, least, largest);
+    assert_layout("cavities", "Cavity", fields, size_of::<Cavity>());
 }

@@ -317,6 +317,7 @@ fn stages_share_their_nouns() {
     let shared = ["mod", "band"];
     let parts = [
         ("ballistic", "move_solid"),
+        ("cavities", "right_hand_side"),
         ("element_rotations", "solid_matrices"),
         ("level_exchange", "advect_level"),
         ("patch_pressure", "right_hand_side"),
@@ -327,6 +328,7 @@ fn stages_share_their_nouns() {
         ("active_cells", "solver"),
         ("ballistic", "twin_move_solid"),
         ("bound_level", "twin_level_shape"),
+        ("cavities", "cavities"),
         ("closed_components", "components"),
         ("excess", "twin_liquid_components"),
         ("filter_level", "twin_level_shape"),

@@ -17,7 +17,7 @@ use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
     self, ActiveCells, Ballistic, CavityMotion, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil,
-    TimeStep, VolumeSource, cavity_rate,
+    TimeStep, VolumeSource, cavity_source,
 };
 use crate::scene::{ProbeKind, Scene, ThetaFloor};
 use crate::sim::{GpuPath, LiquidSnapshot};
@@ -538,14 +538,14 @@ impl<'a> LiquidComparison<'a> {
         self.twin.active = Some(active);
     }
 
-    /// Adds the sources of the liquid that fills cavities (m^3/s). Returns the error of a rate in f32 and two products, m/s.
+    /// Adds the sources of the liquid that fills cavities (m^3/s). Returns the error of a source over a sum in f32 and two products, m/s.
     fn fill_cavities(&self, both: &Both, active: &ActiveCells, rhs: &mut reference::RightHandSide) -> f64 {
         let ((cavities, targets), dt) = (both.cavities, self.dt());
         let volumes = cavities.volumes(both.at_rest, &both.solids.displacement);
         let motion = CavityMotion { volumes: &volumes, targets, dt };
         reference::fill_cavities(cavities, both.clip.coupling(), active, motion, &self.open_volumes, rhs);
-        let rates = volumes.iter().zip(targets).map(|(&volume, &target)| cavity_rate(target, volume, dt).abs());
-        4.0 * EPS * self.grid.dx * largest(rates)
+        let rate = |(&volume, &target): (&f64, &f64)| cavity_source(target, volume, dt).abs() / volume;
+        16.0 * EPS * self.grid.dx * largest(volumes.iter().zip(targets).map(rate))
     }
 
     /// Flags of valid faces are exact. theta has 6 roundings, the quotient by it and the difference 5 and 1; u less that is rounded in the scalar
