@@ -20,7 +20,7 @@
 // Constants of reference/volume_shift.rs. Part of the target within which nothing moves.
 const DEAD_BAND = 0.005;
 // Least area, cells.
-const LEAST_AREA = 1e-4;
+const LEAST_AREA = 1e-6;
 
 // Shift of a component, cells.
 fn shift_of(label: u32) -> f32 {

@@ -19,7 +19,7 @@ pub(super) const DEAD_BAND: f64 = 0.005;
 /// Largest shift in a sub-step, cells. Twice that erases films thinner than a cell.
 const LARGEST: f64 = 0.04;
 /// Least A_k, cells: a smaller surface is rounding.
-const LEAST_AREA: f64 = 1e-4;
+const LEAST_AREA: f64 = 1e-6;
 /// Courant number above which the largest shift grows with its square.
 const LONG: f64 = 3.0;
 

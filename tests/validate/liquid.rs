@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::grid::Axis;
@@ -37,28 +38,41 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// `--set KEY=VALUE` of the command line.
-pub(crate) static SETTINGS: OnceLock<Vec<String>> = OnceLock::new();
+/// `--set KEY=VALUE` of the command line, with the number of scenes that it changed.
+pub(crate) static SETTINGS: OnceLock<Vec<(String, AtomicUsize)>> = OnceLock::new();
+
+/// Whether a text names a key in a table of it, or whole.
+fn names(text: &str, key: &str) -> bool {
+    let mut table = "";
+    text.lines().map(str::trim).any(|line| {
+        if line.starts_with('[') {
+            table = line.trim_matches(['[', ']']);
+        }
+        let name = line.split('=').next().unwrap_or_default().trim();
+        name == key || key.strip_prefix(table).and_then(|rest| rest.strip_prefix('.')) == Some(name)
+    })
+}
 
 /// Overrides of a scene for keys that its text does not name: `--set`, and the surface of the published rows, markers. Keys of the liquid are for scenes
 /// with regions of it. Separation needs markers.
 pub(crate) fn settings_of(text: &str) -> Vec<String> {
-    let given = SETTINGS.get().into_iter().flatten().map(String::as_str);
-    let last = |setting: &str| setting.split('=').next().and_then(|key| key.rsplit('.').next()).map(str::to_owned);
-    let named = |key: &str| {
-        let of_line = |line: &str| line.split('=').next().and_then(|name| name.trim().rsplit('.').next()) == Some(key);
-        text.lines().any(of_line)
-    };
     let mut settings: Vec<String> = Vec::new();
-    for setting in given.chain(["liquid.surface=markers"]) {
-        let key = last(setting).unwrap_or_default();
-        let of_liquid = setting.starts_with("liquid.") || key == "pressure_on_patches";
+    let mut set = |setting: &str| {
+        let key = setting.split('=').next().unwrap_or_default();
+        let of_liquid = key.starts_with("liquid.") || key == "solver.pressure_on_patches";
         let fits = !of_liquid || text.contains("[[liquid.region]]");
-        let taken = named(&key) || key == "surface" && named("separation");
-        if fits && !taken && !settings.iter().any(|before| last(before).as_deref() == Some(&key)) {
+        let separates = key == "liquid.surface" && names(text, "liquid.separation");
+        let before = settings.iter().any(|before| before.split('=').next() == Some(key));
+        let changes = fits && !separates && !names(text, key) && !before;
+        if changes {
             settings.push(setting.to_owned());
         }
+        changes
+    };
+    for (setting, changed) in SETTINGS.get().into_iter().flatten() {
+        changed.fetch_add(usize::from(set(setting)), Ordering::Relaxed);
     }
+    set("liquid.surface=markers");
     settings
 }
 

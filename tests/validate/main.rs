@@ -303,10 +303,13 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         classes(cost::sums(cases.iter().map(|case| (case.id.as_str(), before(case)))))
     );
     let start = Instant::now();
-    liquid::SETTINGS.get_or_init(|| options.settings.clone());
-    let store = ResultStore::new(&sheet::folder(), &machine)?;
+    let settings = options.settings.iter().map(|setting| (setting.clone(), AtomicUsize::new(0))).collect();
+    let settings: &Vec<(String, AtomicUsize)> = liquid::SETTINGS.get_or_init(|| settings);
+    let store = ResultStore::new(&sheet::folder(), &machine, &options.settings)?;
     if !options.resume {
-        store.remove_others()?;
+        if settings.is_empty() {
+            store.remove_others()?;
+        }
         cases.iter().try_for_each(|case| store.remove(&case.id))?;
     }
     let Results { rows, charts } = run(&cases, options.jobs, &store, &published);
@@ -328,6 +331,13 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
     println!("\n{}\n{summary}", classes(cost::sums(seconds.into_iter())));
     for row in &failed {
         print!("{}", sheet::lines(std::slice::from_ref(row)));
+    }
+    for (setting, scenes) in settings {
+        println!("--set {setting} changed {} scenes", scenes.load(Ordering::Relaxed));
+    }
+    if settings.iter().any(|(_, scenes)| scenes.load(Ordering::Relaxed) == 0) {
+        eprintln!("a setting that changes no scene says nothing: correct its key, or select other cases");
+        return Ok(ExitCode::from(2));
     }
     Ok(match failed.is_empty() {
         true => ExitCode::SUCCESS,

@@ -27,8 +27,8 @@ pub(crate) struct ResultStore {
 }
 
 impl ResultStore {
-    /// Below `out`, a folder for this build, these reference data and this adapter.
-    pub(crate) fn new(out: &Path, machine: &Machine) -> Result<ResultStore, Box<dyn Error>> {
+    /// Below `out`, a folder for this build, these reference data, this adapter and these settings.
+    pub(crate) fn new(out: &Path, machine: &Machine, settings: &[String]) -> Result<ResultStore, Box<dyn Error>> {
         let mut hasher = DefaultHasher::new();
         fs::read(std::env::current_exe()?)?.hash(&mut hasher);
         let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
@@ -37,7 +37,7 @@ impl ResultStore {
         for file in data.iter().filter(|path| path.is_file()) {
             (file, fs::read(file)?).hash(&mut hasher);
         }
-        (&machine.adapter, &machine.driver).hash(&mut hasher);
+        (&machine.adapter, &machine.driver, settings).hash(&mut hasher);
         let folder = out.join("cases").join(format!("{:016x}", hasher.finish()));
         fs::create_dir_all(&folder)?;
         Ok(ResultStore { folder })

@@ -32,6 +32,7 @@ use cutwater::state::{SolidDiagnosis, State};
 
 use crate::Case;
 use crate::lane::{Lane, Motion};
+use crate::liquid::settings_of;
 use crate::sheet::Sheet;
 use crate::solid_scene::solids_of;
 
@@ -184,7 +185,8 @@ fn diagnosis(scene: &Scene, motion: &Motion) -> SolidDiagnosis {
 
 fn endures(lane: Lane, most: usize, file: &Path, [young, density, step, damping]: [usize; 4], sheet: &mut Sheet) {
     let folder = tempfile::tempdir().unwrap();
-    let mut scene = coarse(&Scene::load(file, &[], 1.0).unwrap(), most, folder.path());
+    let settings = settings_of(&fs::read_to_string(file).unwrap());
+    let mut scene = coarse(&Scene::load(file, &settings, 1.0).unwrap(), most, folder.path());
     scene.probes.clear();
     let (young, density, dt) = (YOUNG[young], DENSITY[density], STEP[step]);
     let most_rise = MOST_RISE[step];
