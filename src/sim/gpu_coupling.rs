@@ -212,6 +212,14 @@ impl CouplingStages {
     }
 }
 
+/// Result of a solve in which solids touch each other.
+struct SolvedInRows {
+    outcome: CoupledOutcome,
+    contact: ContactReport,
+    /// See [`Solved::pushed`].
+    pushed: Option<Vec<f64>>,
+}
+
 /// Solves under the rows of solids that touch each other, with separation in rounds. The recording starts the solve. `displacement` of all nodes, m.
 fn solve_in_rows(
     (gpu, recorder): (&Gpu, Recorder),
@@ -219,7 +227,7 @@ fn solve_in_rows(
     (at, polynomial): (CoupledFields, Polynomial),
     (contacts, solids, displacement): (&GpuContacts, &GpuSolids, &[[f64; 3]]),
     rounds: Option<&mut Rounds>,
-) -> Result<(CoupledOutcome, ContactReport, Option<Vec<f64>>, StageTimes), Error> {
+) -> Result<(SolvedInRows, StageTimes), Error> {
     let dx = solids.buffers.plan.grid.dx;
     let mut last = Vec::new();
     let mut rows = |velocity: &[f64], known: &[Row]| {
@@ -251,7 +259,7 @@ fn solve_in_rows(
         }
     };
     contacts.touching(&solids.solids, dx, displacement, |touching| touching.shorten(&last, &mut contact));
-    Ok((outcome, contact, solves.pushed(), times))
+    Ok((SolvedInRows { outcome, contact, pushed: solves.pushed() }, times))
 }
 
 /// Result of a solve. `separation`: status and report of the rounds, for the liquid.
@@ -576,7 +584,7 @@ impl GpuCoupling {
         }
         if let Some(contacts) = &solids.contacts {
             let touching = (contacts, solids, displacement);
-            let (outcome, contact, pushed, times) =
+            let (SolvedInRows { outcome, contact, pushed }, times) =
                 solve_in_rows((gpu, recorder), together, (at, solids.polynomial(dt)), touching, rounds.as_mut())?;
             let parts = outcome.parts(touch.closed_components);
             let separation = rounds.map(|rounds| (rounds.status(parts[0].status), rounds.report));
