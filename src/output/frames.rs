@@ -354,7 +354,8 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     }
     let n = n as u64;
     let mut point = vec![vectors("velocity", velocity), scalars("speed", speed.into())];
-    if !state.spray.is_empty() {
+    // A level may have no markers, but every frame of a run has the same arrays.
+    if !state.component.is_empty() {
         let spray: Vec<u8> = state.spray.iter().map(|&spray| spray.into()).collect();
         point.push(scalars("spray", spray.into()));
     }

@@ -1,5 +1,7 @@
 //! Liquid that fills cavities of solids.
 
+use std::fs;
+
 use cutwater::elastic::{Cavities, Solids};
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
@@ -7,11 +9,12 @@ use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::State;
 
+use crate::cli::{folder, says};
 use crate::common::gpu;
 
 /// A hollow ball (radius 0.3 m, cavity 0.2 m) over the floor; liquid in a sphere of some radius fills the cavity, or a part of it.
-fn ball(young: f64, radius: f64, more: &str) -> Scene {
-    let text = format!(
+fn ball_text(young: f64, radius: f64, more: &str) -> String {
+    format!(
         "[domain]
 size = [1, 1, 1]
 cells = [20, 20, 20]
@@ -30,10 +33,13 @@ young = {young:?}
 poisson = 0.3
 {more}
 "
-    );
+    )
+}
+
+fn ball(young: f64, radius: f64, more: &str) -> Scene {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ball.toml");
-    std::fs::write(&path, text).unwrap();
+    fs::write(&path, ball_text(young, radius, more)).unwrap();
     Scene::load(&path, &[], 1.0).unwrap()
 }
 
@@ -138,6 +144,16 @@ fn states_have_the_targets() {
         });
         assert_eq!(runs[0], runs[1], "{backend:?}");
     }
+}
+
+/// A level without a free surface has no markers. Its frames have the arrays of others, and pictures.
+#[test]
+fn frames_without_markers_are_drawn() {
+    let folder = folder(&ball_text(1e5, 0.2, ""));
+    says(&folder, "run dam.toml --backend cpu --frames 1 --out full");
+    let frame = fs::read_to_string(folder.path().join("full/frames/dam_000001.vtp")).unwrap();
+    assert!(frame.contains("NumberOfPoints=\"0\"") && frame.contains("Name=\"spray\""), "{frame}");
+    says(&folder, "preview full --size 64x64");
 }
 
 /// Sources and sinks change the content of cavities, so no cavity has a target beside them.
