@@ -2,6 +2,7 @@
 // not matter. One thread per active quad where some component has no free surface.
 // step. list: active quads. state, labels: see components. flags: see active. cavities: words of Cavity; volumes are 0 before. solid_distance: m.
 #import active
+#import component_sums
 #import components
 #import dispatch
 #import filled
@@ -30,7 +31,8 @@ fn cavity_volumes(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         let root = labels[4u * quad + l] & ~MARKS;
         for (var k = 0u; (sealed & (1u << l)) != 0u && k < arrayLength(&cavities) / 6u; k++) {
             if atomicLoad(&cavities[6u * k]) == root {
-                let volume = u32(round(16777216.0 * open[l]));
+                // At most one cell: the high word is 0.
+                let volume = fixed(open[l]).x;
                 // The word before the addition tells whether it overflows; carries are as many in any order.
                 let carry = u32(atomicAdd(&cavities[6u * k + 1u], volume) > ~volume);
                 atomicAdd(&cavities[6u * k + 2u], carry);

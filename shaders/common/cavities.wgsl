@@ -1,10 +1,11 @@
+#import component_sums
 #import components
 
 // A cavity of a solid and the liquid in it: stages::Cavity is the same struct on the host.
 struct Cavity {
     // smallest root of the sealed components that touch it; NONE for none
     root: u32,
-    // open volume of that component, 2^-24 cells: low and high words
+    // open volume of that component: low and high words, see component_sums
     low: u32,
     high: u32,
     // source, volumes of a cell per second
@@ -16,7 +17,7 @@ struct Cavity {
 
 // Open volume of the component, cells.
 fn open_cells(cavity: Cavity) -> f32 {
-    return f32(cavity.high) * 256.0 + f32(cavity.low) / 16777216.0;
+    return value_of(vec2<u32>(cavity.low, cavity.high));
 }
 
 fn is_filled(cavity: Cavity) -> bool {

@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 
 use super::Solids;
+use crate::geometry::DisjointSets;
 use crate::scene::{CouplingScheme, Scene};
 
 /// Least volume of a cavity with a source, cells: the grid does not resolve smaller ones.
 const LEAST_CELLS: f64 = 8.0;
 
-/// The cavities of all solids, in the order of their first triangles.
+/// The cavities of all solids, in the order of their first nodes.
 #[derive(Clone, Debug, Default)]
 pub struct Cavities {
     /// Triangles of each, corners clockwise as seen from the cavity.
@@ -28,9 +29,14 @@ impl Cavities {
     /// The same of more than a least volume, m^3.
     fn larger(solids: &Solids, least: f64) -> Cavities {
         let mut parts: BTreeMap<u32, Vec<[u32; 3]>> = BTreeMap::new();
-        let first_node = first_nodes(solids);
+        let mut joined = DisjointSets::new(solids.rest.len());
+        for &[a, b, c] in &solids.triangles {
+            joined.merge(a, b);
+            joined.merge(a, c);
+        }
+        let (part_of_node, _) = joined.labels();
         for &triangle in &solids.triangles {
-            parts.entry(first_node[triangle[0] as usize]).or_default().push(triangle);
+            parts.entry(part_of_node[triangle[0] as usize]).or_default().push(triangle);
         }
         let encloses = |part: &Vec<[u32; 3]>| enclosed_volume(part, |node| solids.rest[node as usize]) > least;
         let triangles: Vec<Vec<[u32; 3]>> = parts.into_values().filter(encloses).collect();
@@ -71,25 +77,6 @@ impl Cavities {
         let position = |node: u32| solids.rest[node as usize] + DVec3::from(displacement[node as usize]);
         self.triangles.iter().map(|part| enclosed_volume(part, position)).collect()
     }
-}
-
-/// The smallest node of the part of the surface that each node belongs to; other nodes: the node itself.
-fn first_nodes(solids: &Solids) -> Vec<u32> {
-    let mut first: Vec<u32> = (0..solids.rest.len() as u32).collect();
-    fn find(first: &mut [u32], mut node: u32) -> u32 {
-        while first[node as usize] != node {
-            first[node as usize] = first[first[node as usize] as usize];
-            node = first[node as usize];
-        }
-        node
-    }
-    for &[a, b, c] in &solids.triangles {
-        for other in [b, c] {
-            let [one, other] = [a, other].map(|node| find(&mut first, node));
-            first[one.max(other) as usize] = one.min(other);
-        }
-    }
-    (0..solids.rest.len() as u32).map(|node| find(&mut first, node)).collect()
 }
 
 /// Volume that closed triangles enclose on their outer side (divergence theorem), from one of their corners for fewer digits lost.

@@ -542,14 +542,16 @@ impl GpuCoupling {
     ) -> Result<(ContactState, StageTimes), Error> {
         to.read(&self.buffers.report, &mut readbacks.report);
         to.read(&liquid.solver.components, &mut readbacks.components);
-        let cavities = self.stages.filled_cavities.as_ref().zip(readbacks.cavities.as_mut());
+        // The words are read back until each cavity has a target.
+        cavity_volume.resize(self.cavities.len(), 0.0);
+        let cavities = self.stages.filled_cavities.as_ref().filter(|_| cavity_volume.contains(&0.0));
+        let cavities = cavities.zip(readbacks.cavities.as_mut());
         let cavities = cavities.map(|(cavities, readback)| {
             to.read(cavities.words(), readback);
             readback
         });
         let timing = to.submit();
         if let Some(readback) = cavities {
-            cavity_volume.resize(self.cavities.len(), 0.0);
             let words = readback.wait(gpu)?;
             let targets = cavity_volume.iter_mut().zip(&self.cavity_volumes).zip(FilledCavities::filled(&words));
             let first = targets.filter(|((target, _), filled)| *filled && **target == 0.0);

@@ -21,7 +21,7 @@ const WORDS: usize = size_of::<Cavity>() / 4;
 pub struct Cavity {
     /// Smallest root of the sealed components that touch it.
     pub root: u32,
-    /// Open volume of that component, 2^-24 cells: low word.
+    /// Open volume of that component, 2^-23 cells: low word.
     pub low: u32,
     /// High word.
     pub high: u32,
@@ -41,7 +41,7 @@ impl Cavity {
     }
 
     fn is_filled(&self) -> bool {
-        let open = (u64::from(self.high) << 32 | u64::from(self.low)) as f64 / f64::from(1 << 24);
+        let open = (u64::from(self.high) << 32 | u64::from(self.low)) as f64 / f64::from(1 << 23);
         self.root != NONE && (f64::from(self.least)..=f64::from(self.largest)).contains(&open)
     }
 }
