@@ -8,16 +8,20 @@
 //! keeps them apart. All others count, however near they are at rest. A feature deeper behind another than a part of an edge is on the other
 //! side of the body, not in contact.
 //!
+//! Bodies that overlap deeper, as crushed ones with edges that no longer meet these conditions, have pairs of all nodes inside each other, and of the
+//! deepest points of edges.
+//!
 //! Continuous collision detection ([`contact_hits`]) finds the nodes that cross faces, and the edges that cross edges, in a motion along
-//! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997).
+//! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997). Where it finds none, the pairs count that overlap more
+//! at the end than at the start.
 
 use std::ops::Range;
 
 use glam::DVec3;
 use parry3d_f64::bounding_volume::Aabb;
 use parry3d_f64::partitioning::{Bvh, BvhBuildStrategy};
-use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
-use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+use parry3d_f64::query::{PointQuery, PointQueryWithLocation, Ray, RayCast};
+use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use rayon::prelude::*;
 
 /// Cosine between the normals of two faces above which their common edge is flat: 0.8 degrees, an overlap of 0.4 % of the edge.
@@ -41,6 +45,10 @@ const NODE_SLACK: f64 = 0.15;
 const FACE_SLACK: f64 = 0.5;
 /// The same for a node inside the other body, which needs a pair.
 const INSIDE_SLACK: f64 = 0.9;
+/// Parts of an edge between the points of which the deepest inside another body has a pair.
+const PARTS: u32 = 8;
+/// Least depth of such a pair, relative to the edge.
+const DEEP: f64 = 2e-3;
 /// Depth of following meetings of a body with itself over that of leading ones.
 const LATER: f64 = 10.0;
 /// Largest overlap of a body with itself, relative to its shortest edge.
@@ -111,15 +119,18 @@ impl Skin {
         low.cmple(self.high + reach).all() && high.cmpge(self.low - reach).all()
     }
 
-    /// The pair of a node of another body and the nearest point of this surface within `reach` (m), unless neighbours of the node are nearer,
-    /// or deeper inside.
+    /// The pair of a node of another body and the nearest point of this surface, inside the body or within `reach` (m) of it, unless neighbours of
+    /// the node are nearer, or deeper inside.
     fn beside(&self, (node, neighbours): &(u32, Vec<u32>), positions: &[DVec3], reach: f64) -> Option<ContactPair> {
         let mesh = &self.mesh;
         let x = positions[*node as usize];
-        let (nearest, (face, at)) = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach)?;
-        let weights = at.barycentric_coordinates()?;
-        let sign = if nearest.is_inside { -1.0 } else { 1.0 };
+        let most = if self.is_near(&[x], 0.0) { f64::MAX } else { reach };
+        let (nearest, (face, at)) = mesh.project_local_point_and_get_location_with_max_dist(x, false, most)?;
         let (arm, distance) = (x - nearest.point, x.distance(nearest.point));
+        if !nearest.is_inside && distance > reach {
+            return None;
+        }
+        let sign = if nearest.is_inside { -1.0 } else { 1.0 };
         let across = mesh.triangle(face).normal()?;
         let normal = match distance > NO_DIRECTION * reach {
             true => sign / distance * arm,
@@ -130,14 +141,39 @@ impl Skin {
             false if normal.dot(across) >= BEFORE => FACE_SLACK,
             false => NODE_SLACK,
         };
-        let neighbours = neighbours.iter().map(|&other| positions[other as usize]);
-        if !is_foremost(x, neighbours, -normal, slack) {
+        // Of a node inside, neighbours that are behind the other side are not deeper.
+        let counts = |other: DVec3| !nearest.is_inside || mesh.contains_local_point(other);
+        let mut neighbours = neighbours.iter().map(|&other| positions[other as usize]);
+        if neighbours.any(|other| !is_foremost(x, [other].into_iter(), -normal, slack) && counts(other)) {
             return None;
         }
-        let corners = mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize].0);
-        let others = corners.into_iter().zip(weights.map(|weight| -weight));
-        let points = others.chain([(*node, 1.0)]);
+        let points = self.face_points(face, at)?.chain([(*node, 1.0)]);
         Some(ContactPair::new(points, normal, sign * distance))
+    }
+
+    /// The nodes of a point of a face, weights negative.
+    fn face_points(&self, face: u32, at: TrianglePointLocation) -> Option<impl Iterator<Item = (u32, f64)>> {
+        let corners = self.mesh.indices()[face as usize].map(|vertex| self.nodes[vertex as usize].0);
+        let weights = at.barycentric_coordinates()?;
+        Some(corners.into_iter().zip(weights.map(|weight| -weight)))
+    }
+
+    /// The pair of the deepest point of an edge of another body inside this one, where its ends are not as deep.
+    fn deep_inside(&self, edge: [u32; 2], positions: &[DVec3]) -> Option<ContactPair> {
+        let ends @ [a, b] = edge.map(|node| positions[node as usize]);
+        let [low, high] = super::bounds(ends.into_iter());
+        self.mesh.bvh().intersect_aabb(&Aabb::new(low, high)).next()?;
+        let inside = (0..=PARTS).filter_map(|part| {
+            let s = f64::from(part) / f64::from(PARTS);
+            let x = a.lerp(b, s);
+            let (nearest, at) =
+                self.is_near(&[x], 0.0).then(|| self.mesh.project_local_point_and_get_location(x, false))?;
+            nearest.is_inside.then_some((s, nearest.point - x, at))
+        });
+        let (s, arm, (face, at)) = inside.max_by(|a, b| a.1.length().total_cmp(&b.1.length()))?;
+        let deep = arm.length() > DEEP * a.distance(b) && s > 0.0 && s < 1.0;
+        let points = deep.then(|| self.face_points(face, at))??.chain([(edge[0], 1.0 - s), (edge[1], s)]);
+        Some(ContactPair::new(points, arm.normalize(), -arm.length()))
     }
 
     /// The pair of a node and the nearest face of the same body before which it is, within `reach` (m), or behind which it is a little.
@@ -238,6 +274,10 @@ pub fn contact_pairs(
                 near.then(|| other.beside(node, positions, reach))?
             };
             pairs.par_extend(skin.nodes.par_iter().filter_map(beside));
+            pairs.par_extend(skin.nodes.par_iter().flat_map_iter(|(node, neighbours)| {
+                let edges = neighbours.iter().filter(move |end| node < *end).map(move |end| [*node, *end]);
+                edges.filter_map(|edge| other.deep_inside(edge, positions))
+            }));
         };
         if number == other_number {
             let beside = |node| skin.beside_itself(node, positions, reach);
@@ -298,9 +338,14 @@ pub fn contact_hits(
             continue;
         };
         let motion = Motion { depth, ..motion };
-        hits.extend(match number == other_number {
-            true => motion.own_hits(body),
-            false => motion.hits(body, other, 1.0),
+        if number == other_number {
+            hits.extend(motion.own_hits(body));
+            continue;
+        }
+        let found = motion.hits(body, other, 1.0);
+        hits.extend(match found.is_empty() {
+            true => motion.deeper(triangles, bodies, (number, other_number), 1.0),
+            false => found,
         });
     }
     hits.sort_by_cached_key(ContactPair::key);
@@ -391,18 +436,28 @@ impl Motion<'_> {
         let less = |of: &[DVec3]| -> Vec<DVec3> { of.iter().map(|x| x - mean).collect() };
         let relative = Motion { ways: &less(self.ways), ends: &less(self.ends), ..*self };
         let body = Swept::new(&relative, body.faces);
-        let mut own = relative.hits(&body, &body, LATER);
-        if own.is_empty() {
-            let deeper = |pair: ContactPair| {
-                let gap = relative.gap(&pair, relative.positions);
-                (pair.gap < gap.min(0.0) - LATER * self.depth).then_some(ContactPair { gap, ..pair })
-            };
-            let whole = 0..body.faces.len();
-            let reach = |_, _| Some(self.depth);
-            let pairs = contact_pairs(relative.ends, body.faces, std::slice::from_ref(&whole), &reach);
-            own.extend(pairs.into_iter().filter_map(deeper));
+        let found = relative.hits(&body, &body, LATER);
+        match found.is_empty() {
+            true => relative.deeper(body.faces, std::slice::from_ref(&(0..body.faces.len())), (0, 0), LATER),
+            false => found,
         }
-        own
+    }
+
+    /// The pairs of two of some bodies, or of one, that overlap at the end by `later` times the depth more than at the start.
+    fn deeper(
+        &self,
+        triangles: &[[u32; 3]],
+        bodies: &[Range<usize>],
+        which: (usize, usize),
+        later: f64,
+    ) -> Vec<ContactPair> {
+        let reach = |one, other| ((one, other) == which).then_some(self.depth);
+        let pairs = contact_pairs(self.ends, triangles, bodies, &reach).into_iter();
+        let deeper = pairs.filter_map(|pair| {
+            let gap = self.gap(&pair, self.positions);
+            (pair.gap < gap.min(0.0) - later * self.depth).then_some(ContactPair { gap, ..pair })
+        });
+        deeper.collect()
     }
 
     /// The meetings of two bodies, or of a body with itself. Where no leading ones are, nodes that follow others through a face and flat

@@ -236,6 +236,32 @@ fn motions_through_surfaces_are_found() {
     }
 }
 
+/// A bar through a slab has pairs although its ends are outside: of the deepest points of its edges, and of its nodes inside. A motion in which they
+/// come deeper is found.
+#[test]
+fn deep_overlaps_have_pairs() {
+    // The slab from y = 1.8 to 2, the bar from 1.44 to 2.44 beside its middle. Of the nine points of an edge one is at 1.94, 0.06 below the top; of
+    // edges half as long one is at 1.8775.
+    for (cells, depths) in [(1, &[0.06][..]), (2, &[0.06, 0.0775])] {
+        let (mut slab, mut bar) = (block([1.0, 0.2, 1.0], [2, 1, 2]), block([0.1, 1.0, 0.1], [1, cells, 1]));
+        slab.placement.translate = DVec3::new(1.5, 1.9, 1.5);
+        bar.placement.translate = DVec3::new(1.36, 1.94, 1.47);
+        let solids = solids_of(&scene_of(vec![slab, bar]));
+        let bodies: Vec<_> = solids.bodies.iter().map(|body| body.triangles.clone()).collect();
+        let reach = |one: usize, other: usize| (one != other).then_some(1e-6);
+        let pairs = contact_pairs(&solids.rest, &solids.triangles, &bodies, &reach);
+        for depth in depths {
+            let deep = pairs.iter().filter(|pair| (pair.gap + depth).abs() < 1e-9 && pair.normal.y.abs() > 1.0 - 1e-9);
+            assert!(deep.count() >= 4, "{cells} {depth}: {pairs:?}");
+        }
+        // Down, the points at 1.94 come deeper, and those at 1.8775 come out.
+        let way = |node: usize| if solids.bodies[1].nodes.contains(&node) { -0.03 * DVec3::Y } else { DVec3::ZERO };
+        let ways: Vec<DVec3> = (0..solids.rest.len()).map(way).collect();
+        let hits = contact_hits(&solids.rest, &ways, &solids.triangles, (&bodies, &reach), 1e-6);
+        assert!(hits.len() >= 4 && hits.iter().all(|hit| (hit.gap + 0.06).abs() < 1e-9), "{cells}: {hits:?}");
+    }
+}
+
 /// Where velocities after the last solve still take bodies through each other, the next sub-step is halved until they do not; where a longer one
 /// alone would, it is no longer.
 #[test]
