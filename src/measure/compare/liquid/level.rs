@@ -197,7 +197,7 @@ impl LiquidComparison<'_> {
         self.twin.exchanged = [(left, left_bound), sunk, filled];
     }
 
-    /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
+    /// Bound: [`maccormack_error`]. The taps that limit a velocity may hang on a rounding.
     pub(super) fn maccormack(&mut self, after: &LiquidSnapshot, (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3])) {
         let (grid, dt) = (self.grid, self.dt());
         let ballistic = self.ballistic();
