@@ -830,7 +830,7 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool, touching: To
         }
     }
     solver.theta_floor = table.optional("theta_floor", solver.theta_floor, |place| {
-        let cure = "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers";
+        let cure = "use 1e-6 to 0.5; 1e-4 is usual with a level, 1e-2 with a fixed surface, 0.15 with markers";
         let floor = place.positive_within("the smallest distance to the surface in cells", 1e-6..=0.5, cure)?;
         Ok(ThetaFloor::from(floor))
     })?;

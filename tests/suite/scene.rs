@@ -264,7 +264,7 @@ const REFUSED: &[Case] = &[
     ("frames_per_second = 20", "frames_per_second = 1e300", 8, "time.frames_per_second", &["is 1e300", "1e-3 to 1e6"]),
     ("tolerance = 1e-6", "tolerance = 1", 41, "solver.tolerance", &["1e-8 is usual"]),
     ("preconditioner = \"jacobi\"", "preconditioner = \"block_jacobi\"", 44, "solver.preconditioner", &["does not have both"]),
-    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual", "0.15 with markers"]),
+    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-4 is usual with a level", "0.15 with markers"]),
     ("area_clamp = 1e-5", "area_clamp = 0", 46, "solver.area_clamp", &["is 0", "1e-6 to less", "1e-3 is usual"]),
     ("max_iterations = 50", "max_iterations = 0", 42, "solver.max_iterations", &["from 1"]),
     ("every = 2", "every = 0", 50, "output.every", &["from 1"]),

@@ -18,7 +18,7 @@ fn pass(number: u64, sheet: &mut Sheet) {
     let what = format!("drops {} to {}", number * DROPS, (number + 1) * DROPS - 1);
     let share = |n: usize, of: usize| n as f64 / of as f64;
     let whole: Vec<_> = drops.iter().filter(|drop| !drop.crushed).collect();
-    for drop in whole.iter().filter(|drop| drop.overlap > QUARTER) {
+    for drop in drops.iter().filter(|drop| drop.fastest > FASTEST || !drop.crushed && drop.overlap > QUARTER) {
         println!("{drop:?}");
     }
     let deepest = whole.iter().map(|drop| drop.overlap).fold(0.0, f64::max);
