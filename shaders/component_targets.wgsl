@@ -1,5 +1,6 @@
 // liquid_components, last: target of every component, its share of the old targets and, in proportion to its volume, of
-// what the whole liquid less the spray lacks. Afterwards the shares are zero. One thread per quad of the band.
+// what the whole liquid less the spray lacks; without open sides at most LARGEST_TARGET times its volume. Afterwards the shares are zero.
+// One thread per quad of the band.
 // step: volume_0, the target of the whole liquid. band_args, band_list: the band. component: labels. component_sums:
 // volumes. shares: in place. component_totals: see sum_components. marker_counts: see marker_counts. component_volume: targets at the roots, volumes of a
 // cell; out.
@@ -18,6 +19,9 @@
 @group(0) @binding(6) var<storage, read> component_totals: array<u32>;
 @group(0) @binding(7) var<storage, read> marker_counts: array<u32>;
 @group(0) @binding(8) var<storage, read_write> component_volume: array<f32>;
+
+// As in reference/liquid_components.rs.
+const LARGEST_TARGET = 4.0;
 
 @compute @workgroup_size(WG_SIZE)
 fn component_targets(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -41,11 +45,12 @@ fn component_targets(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
         if label[l] != root {
             continue;
         }
-        var volume = value_of(shares[root]);
+        let volume = volume_of(component_sums[root]);
+        var wanted = value_of(shares[root]);
         if whole > 0.0 {
-            volume += rest * (volume_of(component_sums[root]) / whole);
+            wanted += rest * (volume / whole);
         }
-        component_volume[root] = volume;
+        component_volume[root] = select(wanted, min(wanted, LARGEST_TARGET * volume), step.open_sides == 0u);
         shares[root] = vec2<u32>();
     }
 }

@@ -1,5 +1,5 @@
-// advect_velocity by MacCormack's method (Selle et al. 2008), after carry_velocity: u*(x) = a(x) + (u(x) - a(x + dt u)) / 2,
-// clamped to the range of the taps of a(x), widened by OVERSHOOT. With cut cells u are the blended velocities.
+// advect_velocity by MacCormack's method (Selle et al. 2008), after carry_velocity: u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
+// where this is within the range of the taps of a(x), else a(x). With cut cells u are the blended velocities.
 // One thread per quad of the band and its 12 minus faces. a is 0 outside the band.
 // level, step. band_args, band_list, band_flags: the band. velocity: faces, m/s (velocity_quads: the same).
 // carried_velocity: a, m/s. velocity_next: departure points as words of carry_velocity in, u* out, m/s.
@@ -22,9 +22,6 @@
 @group(0) @binding(6) var<storage, read> velocity_quads: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> carried_velocity: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
-
-// Overshoot beyond the taps, over their range.
-const OVERSHOOT = 0.5;
 
 // a of faces of an axis by their index within its section, m/s.
 fn carried(section: u32, face: u32) -> f32 {
@@ -63,8 +60,7 @@ fn corrected(axis: u32, face: u32, word: u32, at: vec3<f32>, here: vec3<f32>) ->
     let first_order = carried_velocity[face];
     let result = first_order + 0.5 * (velocity[face] - sample_carried(section, faces_around(axis, end)));
     let range = range_at(section, corner_of(word & LOWEST_POINT, face_tops(axis)));
-    let beyond = OVERSHOOT * (range.y - range.x);
-    return clamp(result, range.x - beyond, range.y + beyond);
+    return select(first_order, result, range.x <= result && result <= range.y);
 }
 
 fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) {

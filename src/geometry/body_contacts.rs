@@ -8,12 +8,12 @@
 //! keeps them apart. All others count, however near they are at rest. A feature deeper behind another than a part of an edge is on the other
 //! side of the body, not in contact.
 //!
-//! Bodies that overlap deeper, as crushed ones with edges that no longer meet these conditions, have pairs of all nodes inside each other, and of the
-//! deepest points of edges.
+//! Bodies may overlap deeper: the edges of crushed ones no longer meet these conditions. They have pairs of the deepest nodes inside each other, and
+//! of the deepest points of edges.
 //!
 //! Continuous collision detection ([`contact_hits`]) finds the nodes that cross faces, and the edges that cross edges, in a motion along
-//! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997). Where it finds none, the pairs count that overlap more
-//! at the end than at the start.
+//! straight lines: four points are coplanar at the roots of a cubic in time (Provot 1997). Two bodies without any have the pairs that
+//! overlap more at the end than at the start.
 
 use std::ops::Range;
 
@@ -45,10 +45,14 @@ const NODE_SLACK: f64 = 0.15;
 const FACE_SLACK: f64 = 0.5;
 /// The same for a node inside the other body, which needs a pair.
 const INSIDE_SLACK: f64 = 0.9;
-/// Parts of an edge between the points of which the deepest inside another body has a pair.
+/// Intervals between the sample points of an edge.
 const PARTS: u32 = 8;
-/// Least depth of such a pair, relative to the edge.
+/// Depth inside another body, over the length of an edge, that is not that of touching bodies.
 const DEEP: f64 = 2e-3;
+/// Direction in which faces are counted: along no edge of a regular mesh.
+const OBLIQUE: DVec3 = DVec3::new(0.9129, 0.3719, 0.1685);
+/// Part of an overlap by which it may grow in a motion: turning bodies change it by as much.
+const GROWTH: f64 = 1e-2;
 /// Depth of following meetings of a body with itself over that of leading ones.
 const LATER: f64 = 10.0;
 /// Largest overlap of a body with itself, relative to its shortest edge.
@@ -127,7 +131,7 @@ impl Skin {
         let most = if self.is_near(&[x], 0.0) { f64::MAX } else { reach };
         let (nearest, (face, at)) = mesh.project_local_point_and_get_location_with_max_dist(x, false, most)?;
         let (arm, distance) = (x - nearest.point, x.distance(nearest.point));
-        if !nearest.is_inside && distance > reach {
+        if distance > reach && !(nearest.is_inside && self.contains(x)) {
             return None;
         }
         let sign = if nearest.is_inside { -1.0 } else { 1.0 };
@@ -141,8 +145,15 @@ impl Skin {
             false if normal.dot(across) >= BEFORE => FACE_SLACK,
             false => NODE_SLACK,
         };
-        // Of a node inside, neighbours that are behind the other side are not deeper.
-        let counts = |other: DVec3| !nearest.is_inside || mesh.contains_local_point(other);
+        // A deep node stands back only for neighbours that are deeper: others are behind the far side of this body.
+        let counts = |other: DVec3| {
+            let deep = nearest.is_inside && distance > DEEP * x.distance(other);
+            let deeper = || {
+                let to = mesh.project_local_point(other, false);
+                to.is_inside && other.distance(to.point) > distance
+            };
+            !deep || deeper()
+        };
         let mut neighbours = neighbours.iter().map(|&other| positions[other as usize]);
         if neighbours.any(|other| !is_foremost(x, [other].into_iter(), -normal, slack) && counts(other)) {
             return None;
@@ -158,20 +169,37 @@ impl Skin {
         Some(corners.into_iter().zip(weights.map(|weight| -weight)))
     }
 
-    /// The pair of the deepest point of an edge of another body inside this one, where its ends are not as deep.
+    /// Whether a point is inside, by the number of faces before it: the side of the nearest face may be wrong where faces are folded.
+    fn contains(&self, x: DVec3) -> bool {
+        let way = (self.high - self.low).length() * OBLIQUE;
+        let [low, high] = super::bounds([x, x + way].into_iter());
+        let ray = Ray::new(x, way);
+        let around = Aabb::new(low, high);
+        let faces = self.mesh.bvh().intersect_aabb(&around);
+        faces.filter(|&face| self.mesh.triangle(face).intersects_local_ray(&ray, 1.0)).count() % 2 == 1
+    }
+
+    /// The pair of the deepest point of an edge of another body inside this one, if it is deeper than the ends of the edge.
     fn deep_inside(&self, edge: [u32; 2], positions: &[DVec3]) -> Option<ContactPair> {
         let ends @ [a, b] = edge.map(|node| positions[node as usize]);
-        let [low, high] = super::bounds(ends.into_iter());
-        self.mesh.bvh().intersect_aabb(&Aabb::new(low, high)).next()?;
-        let inside = (0..=PARTS).filter_map(|part| {
+        self.is_near(&ends, 0.0).then_some(())?;
+        // Part of the edge, way to the surface, and place there.
+        let inside = |part: u32| {
             let s = f64::from(part) / f64::from(PARTS);
             let x = a.lerp(b, s);
-            let (nearest, at) =
-                self.is_near(&[x], 0.0).then(|| self.mesh.project_local_point_and_get_location(x, false))?;
+            let near = self.is_near(&[x], 0.0);
+            let (nearest, at) = near.then(|| self.mesh.project_local_point_and_get_location(x, false))?;
             nearest.is_inside.then_some((s, nearest.point - x, at))
-        });
-        let (s, arm, (face, at)) = inside.max_by(|a, b| a.1.length().total_cmp(&b.1.length()))?;
-        let deep = arm.length() > DEEP * a.distance(b) && s > 0.0 && s < 1.0;
+        };
+        let ends = [0, PARTS].map(inside);
+        if ends.iter().all(Option::is_none) {
+            let [low, high] = super::bounds([a, b].into_iter());
+            self.mesh.bvh().intersect_aabb(&Aabb::new(low, high)).next()?;
+        }
+        let between = (1..PARTS).filter_map(inside);
+        let (s, arm, (face, at)) = between.max_by(|a, b| a.1.length().total_cmp(&b.1.length()))?;
+        let of_ends = ends.iter().flatten().fold(0.0, |most, (_, arm, _)| f64::max(most, arm.length()));
+        let deep = arm.length() > of_ends + DEEP * a.distance(b) && self.contains(a.lerp(b, s));
         let points = deep.then(|| self.face_points(face, at))??.chain([(edge[0], 1.0 - s), (edge[1], s)]);
         Some(ContactPair::new(points, arm.normalize(), -arm.length()))
     }
@@ -332,7 +360,7 @@ pub fn contact_hits(
     let bounds = |body: &Range<usize>| motion.bounds(triangles[body.clone()].as_flattened());
     let near = near_bodies(&bodies.iter().map(bounds).collect::<Vec<_>>(), depth);
     let swept = each_near(bodies, &near, |body| Some(Swept::new(&motion, &triangles[body])));
-    let mut hits = Vec::new();
+    let (mut hits, mut apart) = (Vec::new(), Vec::new());
     for (number, other_number, depth) in near {
         let (Some(body), Some(other)) = (&swept[number], &swept[other_number]) else {
             continue;
@@ -343,10 +371,14 @@ pub fn contact_hits(
             continue;
         }
         let found = motion.hits(body, other, 1.0);
-        hits.extend(match found.is_empty() {
-            true => motion.deeper(triangles, bodies, (number, other_number), 1.0),
-            false => found,
-        });
+        if found.is_empty() {
+            apart.push((number, other_number));
+        }
+        hits.extend(found);
+    }
+    if !apart.is_empty() {
+        let depth = |one, other| apart.contains(&(one, other)).then(|| depth(one, other))?;
+        hits.extend(motion.deeper(triangles, bodies, &depth, [1.0, GROWTH]));
     }
     hits.sort_by_cached_key(ContactPair::key);
     hits
@@ -437,25 +469,29 @@ impl Motion<'_> {
         let relative = Motion { ways: &less(self.ways), ends: &less(self.ends), ..*self };
         let body = Swept::new(&relative, body.faces);
         let found = relative.hits(&body, &body, LATER);
+        let whole = 0..body.faces.len();
         match found.is_empty() {
-            true => relative.deeper(body.faces, std::slice::from_ref(&(0..body.faces.len())), (0, 0), LATER),
+            true => relative.deeper(body.faces, std::slice::from_ref(&whole), &|_, _| Some(self.depth), [LATER, 0.0]),
             false => found,
         }
     }
 
-    /// The pairs of two of some bodies, or of one, that overlap at the end by `later` times the depth more than at the start.
+    /// The pairs that overlap more at the end than at the start, by more than `later` times the depth and a part of the overlap. `depth`: the same for
+    /// all bodies that it has.
     fn deeper(
         &self,
         triangles: &[[u32; 3]],
         bodies: &[Range<usize>],
-        which: (usize, usize),
-        later: f64,
+        depth: Reach,
+        [later, part]: [f64; 2],
     ) -> Vec<ContactPair> {
-        let reach = |one, other| ((one, other) == which).then_some(self.depth);
-        let pairs = contact_pairs(self.ends, triangles, bodies, &reach).into_iter();
+        let least = (0..bodies.len()).flat_map(|one| (one..bodies.len()).filter_map(move |other| depth(one, other)));
+        let least = later * least.fold(0.0, f64::max);
+        let pairs = contact_pairs(self.ends, triangles, bodies, depth).into_iter();
         let deeper = pairs.filter_map(|pair| {
-            let gap = self.gap(&pair, self.positions);
-            (pair.gap < gap.min(0.0) - later * self.depth).then_some(ContactPair { gap, ..pair })
+            let before = self.gap(&pair, self.positions);
+            let overlap = before.min(0.0);
+            (pair.gap < overlap + part * overlap - least).then_some(ContactPair { gap: before, ..pair })
         });
         deeper.collect()
     }

@@ -23,6 +23,8 @@ pub enum AdapterChoice {
     Kind(wgpu::DeviceType),
     /// First adapter whose name contains the text, ignoring case.
     Name(String),
+    /// That of an open device, which is shared with its compiled kernels: simulations start sooner.
+    Open(Gpu),
 }
 
 impl std::str::FromStr for AdapterChoice {
@@ -57,6 +59,7 @@ impl std::fmt::Display for AdapterChoice {
             AdapterChoice::Index(index) => write!(text, "index {index}"),
             AdapterChoice::Kind(kind) => write!(text, "kind {}", kind_name(*kind)),
             AdapterChoice::Name(name) => write!(text, "the name \"{name}\""),
+            AdapterChoice::Open(gpu) => write!(text, "the open {}", gpu.report.name),
         }
     }
 }
@@ -242,16 +245,14 @@ pub struct Gpu {
     stage: &'static str,
 }
 
-/// State shared by the clones of a [`Gpu`].
+/// State shared by the clones of a [`Gpu`]: buffers, kernels and traffic of one user of the device.
 #[derive(Debug)]
 pub struct Shared {
     /// `None` on a planning device.
-    open: Option<Open>,
+    open: Option<Arc<Open>>,
     report: AdapterReport,
-    faults: Arc<Mutex<Option<String>>>,
     allocated: Mutex<Vec<BufferPlan>>,
-    kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
-    /// Stage and name of every compiled kernel, in order of first use.
+    /// Stage and name of every kernel, in order of first use.
     stage_kernels: Mutex<Vec<StageKernel>>,
     pub(super) meter: Meter,
     /// Idle timers.
@@ -264,19 +265,33 @@ pub(super) struct Open {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) limits: wgpu::Limits,
+    faults: Arc<Mutex<Option<String>>>,
+    kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
     /// Whether kernels that are not yet being compiled are not needed any more.
     pub(super) closing: Arc<AtomicBool>,
 }
 
-impl Drop for Shared {
+impl Drop for Open {
     /// Waits for the driver's compiler: NVIDIA's crashes where the process exits meanwhile.
     fn drop(&mut self) {
-        if let (Some(open), Ok(kernels)) = (&self.open, self.kernels.get_mut()) {
-            open.closing.store(true, Ordering::Relaxed);
+        self.closing.store(true, Ordering::Relaxed);
+        if let Ok(kernels) = self.kernels.get_mut() {
             kernels.values().for_each(Kernel::end_compilation);
         }
     }
 }
+
+impl PartialEq for Gpu {
+    /// Whether both have the same device.
+    fn eq(&self, other: &Gpu) -> bool {
+        match (&self.shared.open, &other.shared.open) {
+            (Some(open), Some(others)) => Arc::ptr_eq(open, others),
+            _ => Arc::ptr_eq(&self.shared, &other.shared),
+        }
+    }
+}
+
+impl Eq for Gpu {}
 
 impl std::ops::Deref for Gpu {
     type Target = Shared;
@@ -321,6 +336,7 @@ fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
             let name = name.to_lowercase();
             adapters.iter().find(|adapter| adapter.get_info().name.to_lowercase().contains(&name))
         }
+        AdapterChoice::Open(gpu) => adapters.iter().find(|adapter| adapter.get_info().name == gpu.report.name),
     };
     chosen.cloned().ok_or_else(|| {
         if adapters.is_empty() {
@@ -352,8 +368,11 @@ impl Gpu {
         choose(choice).map(|adapter| AdapterReport::new(&adapter))
     }
 
-    /// Opens a device with all limits of its adapter.
+    /// Opens a device with all limits of its adapter, or shares an open one.
     pub fn new(choice: &AdapterChoice) -> Result<Gpu, Error> {
+        if let AdapterChoice::Open(gpu) = choice {
+            return Ok(Gpu::with(gpu.shared.open.clone(), gpu.report.clone()));
+        }
         let adapter = choose(choice)?;
         let report = AdapterReport::new(&adapter);
         let limits = adapter.limits();
@@ -383,22 +402,20 @@ impl Gpu {
                 keep_first(&sink, format!("the device was lost: {message}"));
             }
         });
-        let open = Open { device, queue, limits, closing: Arc::default() };
-        Ok(Gpu::with(Some(open), report, faults))
+        let open = Open { device, queue, limits, faults, kernels: Mutex::default(), closing: Arc::default() };
+        Ok(Gpu::with(Some(open.into()), report))
     }
 
     /// A planning device with the properties of an adapter.
     pub fn planning(report: AdapterReport) -> Gpu {
-        Gpu::with(None, report, Arc::default())
+        Gpu::with(None, report)
     }
 
-    fn with(open: Option<Open>, report: AdapterReport, faults: Arc<Mutex<Option<String>>>) -> Gpu {
+    fn with(open: Option<Arc<Open>>, report: AdapterReport) -> Gpu {
         let shared = Shared {
             open,
             report,
-            faults,
             allocated: Mutex::default(),
-            kernels: Mutex::default(),
             stage_kernels: Mutex::default(),
             meter: Meter::default(),
             timers: Mutex::default(),
@@ -422,7 +439,7 @@ impl Gpu {
 
     /// The driver's device; `None` on a planning device.
     pub(super) fn open(&self) -> Option<&Open> {
-        self.shared.open.as_ref()
+        self.shared.open.as_deref()
     }
 
     /// Properties of the adapter.
@@ -437,7 +454,8 @@ impl Gpu {
 
     /// Returns the first device error since the last call, if any, with the operation `during` which it occurred.
     pub fn check(&self, during: &str) -> Result<(), Error> {
-        match self.faults.lock().ok().and_then(|mut slot| slot.take()) {
+        let fault = self.open().and_then(|open| open.faults.lock().ok()?.take());
+        match fault {
             Some(problem) => Err(Error::Gpu { during: during.to_owned(), problem }),
             None => Ok(()),
         }
@@ -470,12 +488,12 @@ impl Gpu {
         self.stage_kernels.lock().map(|list| list.clone()).unwrap_or_default()
     }
 
-    /// Names of all kernels compiled so far, sorted.
+    /// Names of all kernels so far, sorted.
     pub fn compiled(&self) -> BTreeSet<&'static str> {
-        self.kernels.lock().map(|kernels| kernels.keys().map(|(source, _)| source.name).collect()).unwrap_or_default()
+        self.stage_kernels().into_iter().map(|(_, kernel)| kernel).collect()
     }
 
-    /// Traffic since the device was opened.
+    /// Traffic of this user of the device.
     pub fn traffic(&self) -> Traffic {
         self.meter.traffic()
     }
@@ -491,12 +509,12 @@ impl Gpu {
     }
 
     pub(super) fn known_kernel(&self, source: &Source, variant: Variant) -> Option<Kernel> {
-        let kernels = self.kernels.lock().ok()?;
+        let kernels = self.open()?.kernels.lock().ok()?;
         kernels.get(&(*source, variant)).cloned()
     }
 
     pub(super) fn keep_kernel(&self, source: &Source, variant: Variant, kernel: &Kernel) {
-        if let Ok(mut kernels) = self.kernels.lock() {
+        if let Some(Ok(mut kernels)) = self.open().map(|open| open.kernels.lock()) {
             kernels.insert((*source, variant), kernel.clone());
         }
     }

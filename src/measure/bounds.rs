@@ -41,9 +41,9 @@ pub fn advection_error(grid: &Grid, open: &[Vec<f64>; 3], velocity: &[Vec<f64>; 
     trace_error(grid, &blended, 160.0 * rounding, dt).max(plain) + 12.0 * rounding
 }
 
-/// Error of face velocities (m/s) after MacCormack's method, where the same taps limit them. `carried`: after the first order, whose error
+/// Error of face velocities (m/s) after MacCormack's method, where the limit decides alike. `carried`: after the first order, whose error
 /// is that of [`advection_error`]. The correction has half the errors of the velocity and of a sample of `carried`, and three roundings of
-/// values up to twice the speed. The limits have less: at most twice the error of the velocity.
+/// values up to twice the speed.
 pub fn maccormack_error(
     grid: &Grid,
     open: &[Vec<f64>; 3],

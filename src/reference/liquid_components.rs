@@ -12,6 +12,9 @@
 //!
 //! The target of a component without a successor, and rounding errors, are shared among all by volume. The targets and
 //! the spray, an eighth of a cell a marker, sum to the target of the whole liquid.
+//!
+//! Without open sides a target is at most 4 V_k. The rest is shared among all in the next sub-step. Else what a wall that
+//! moves uncovers, liquid with hardly any volume, would keep a part of the target for ever.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,6 +26,8 @@ use crate::grid::{Axis, Grid};
 
 /// Layers of air with the label of the liquid beside them.
 const AIR_LAYERS: usize = 3;
+/// Largest target of a component, over its volume. The volume of drops of one cell may be a quarter of their target.
+pub const LARGEST_TARGET: f64 = 4.0;
 
 /// The components of the liquid.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -168,5 +173,12 @@ pub fn balance(total: f64, volumes: &[f64], volume_0: &mut [f64]) {
         let rest = total - volume_0.iter().sum::<f64>();
         let targets = volume_0.iter_mut().zip(volumes);
         targets.for_each(|(target, volume)| *target += rest * volume / whole);
+    }
+}
+
+/// Caps targets at a multiple of the volumes of their components (both m^3).
+pub fn cap_targets(volumes: &[f64], targets: &mut [f64]) {
+    for (target, volume) in targets.iter_mut().zip(volumes) {
+        *target = target.min(LARGEST_TARGET * volume);
     }
 }

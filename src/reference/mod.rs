@@ -88,7 +88,8 @@ pub use level_exchange::{
     limit_targets, outflow, remove_volumes, renewed_volume, sunk_volumes,
 };
 pub use liquid_components::{
-    Before, Components, balance, component_origins, label_at, liquid_components, shared_volumes,
+    Before, Components, LARGEST_TARGET, balance, cap_targets, component_origins, label_at, liquid_components,
+    shared_volumes,
 };
 pub use liquid_distance::{extend_level, liquid_distance};
 pub use marker_band::{Levels, Markers, first_markers, marker_band};

@@ -4,14 +4,13 @@
 use std::fs;
 use std::path::Path;
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench::accuracy::{Options, measure};
 use cutwater::measure::bench::table::Row;
 use cutwater::reference::larger;
 use cutwater::scene::{Formulation, Precision, Preconditioner, Scene};
 
 use crate::bench::{assert_spread, counted, measured, numbers, settings};
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 
 fn options(name: &str, scale: f64, overrides: &[&str]) -> Options {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
@@ -25,7 +24,7 @@ fn options(name: &str, scale: f64, overrides: &[&str]) -> Options {
         formulations: vec![Formulation::Condensed, Formulation::TwoField],
         tolerances: vec![1e-3, 1e-6, 1e-9],
         max_iterations: 500,
-        adapter: AdapterChoice::Best,
+        adapter: adapter(),
     }
 }
 

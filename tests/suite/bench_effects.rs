@@ -5,14 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
 use cutwater::effects::Effects;
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench::Event;
 use cutwater::measure::bench::effects::{ABSENT, COUPLING, EFFECTS, ITSELF, Options, PROBES, costs, measure};
 use cutwater::measure::bench::table::Row;
 use cutwater::scene::Scene;
 
 use crate::bench::{numbers, row, settings};
-use crate::common::{gpu, on_gpu, project_scene, scene_from};
+use crate::common::{adapter, gpu, on_gpu, project_scene, scene_from};
 
 #[test]
 fn effects_add_what_is_theirs() {
@@ -24,7 +23,7 @@ fn effects_add_what_is_theirs() {
             .map(|(name, scale)| load(name, scale))
             .to_vec(),
         frames: 2,
-        adapter: AdapterChoice::Best,
+        adapter: adapter(),
     };
     let of_run = folder.path().join("frames/of_a_run.vtp");
     fs::create_dir(folder.path().join("frames")).unwrap();

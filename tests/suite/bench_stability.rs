@@ -2,7 +2,6 @@
 
 use std::fs;
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench::stability::{
     Budget, Case, Expected, Options, cases, check, completed, count, growth, limits, lost, measure, name_misses,
     solid_diagnosis,
@@ -14,7 +13,7 @@ use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{Diagnosis, SolidDiagnosis, State};
 
 use crate::bench::{measured, numbers, row, settings};
-use crate::common::{gpu, root};
+use crate::common::{adapter, gpu, root};
 
 /// Sub-steps on the GPU path.
 const STEPS: u64 = 8;
@@ -30,7 +29,7 @@ fn options(names: &[&str]) -> Options {
         steps: STEPS,
         cases: names.iter().map(|&name| name.to_owned()).collect(),
         scale: 1.0,
-        backend: Backend::Gpu(AdapterChoice::Best),
+        backend: Backend::Gpu(adapter()),
     }
 }
 

@@ -4,7 +4,6 @@ use std::fs;
 use std::path::Path;
 
 use cutwater::Error;
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench::Event;
 use cutwater::measure::bench::statistics::Spread;
 use cutwater::measure::bench::step::{Case, Options, derive, largest_scale, measure};
@@ -13,7 +12,7 @@ use cutwater::scene::{Precision, Scene, Solver};
 use cutwater::sim::Plan;
 
 use crate::bench::{assert_spread, counted, numbers, row, settings};
-use crate::common::{assert_has, gpu};
+use crate::common::{adapter, assert_has, gpu};
 
 fn at_scale(file: &Path, scale: f64) -> Case {
     Case::new(Scene::load(file, &[], scale).unwrap(), 1.0).unwrap()
@@ -24,7 +23,7 @@ fn tables_are_complete() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/drop_into_pool.toml");
-    let options = Options { scenes: vec![at_scale(&file, 1.0 / 3.0)], frames: 3, adapter: AdapterChoice::Best };
+    let options = Options { scenes: vec![at_scale(&file, 1.0 / 3.0)], frames: 3, adapter: adapter() };
     let mut told = 0;
     let results = {
         let mut listener = counted(&mut told);
@@ -107,7 +106,7 @@ fn a_scene_is_written_before_another_one_fails() {
     // The condensed form is not for f32.
     let mut refused = scene.clone();
     refused.scene.solver = Solver { precision: Precision::F32, ..scene.scene.solver };
-    let options = Options { scenes: vec![scene, refused], frames: 3, adapter: AdapterChoice::Best };
+    let options = Options { scenes: vec![scene, refused], frames: 3, adapter: adapter() };
     let mut told = Vec::new();
     let error = measure(&options, &settings(&out, 1), &mut |event| {
         if let Event::Row(table, row) = event
@@ -168,7 +167,7 @@ fn sub_steps_of_solids_have_a_row_for_every_stage() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("swing.toml");
     fs::write(&file, SWING).unwrap();
-    let options = Options { scenes: vec![at_scale(&file, 1.0)], frames: 3, adapter: AdapterChoice::Best };
+    let options = Options { scenes: vec![at_scale(&file, 1.0)], frames: 3, adapter: adapter() };
     let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     let [row] = table.rows("step") else { panic!("{:?}", table.rows("step")) };
     assert_spread(row, "seconds");
@@ -198,7 +197,7 @@ fn solids_are_refined_beside_the_grid_and_kinds_of_sub_steps_are_told_apart() {
     };
     let sizes = [[1.0, 0.5], [1.0, 1.0], [2.0, 0.5], [2.0, 1.0]];
     let scenes = sizes.map(|[scale, solids_scale]| case(scale, solids_scale));
-    let options = Options { scenes: scenes.to_vec(), frames: 3, adapter: AdapterChoice::Best };
+    let options = Options { scenes: scenes.to_vec(), frames: 3, adapter: adapter() };
     let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     // 1 x 2 x 1 bricks and 2 x 4 x 2.
     let rows = table.rows("step");

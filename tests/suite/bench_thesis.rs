@@ -5,7 +5,6 @@
 use std::fs;
 use std::path::Path;
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{Csr, SymbolicCholesky, eigenvalues};
 use cutwater::measure::bench::Event;
 use cutwater::measure::bench::statistics::Spread;
@@ -19,7 +18,7 @@ use cutwater::sim::{Plan, solids_of};
 use cutwater::state::State;
 
 use crate::bench::{assert_spread, measured, numbers, row, settings};
-use crate::common::{assert_has, gpu};
+use crate::common::{adapter, assert_has, gpu};
 
 fn options(grids: &[usize]) -> Options {
     Options {
@@ -30,7 +29,7 @@ fn options(grids: &[usize]) -> Options {
         steps: 2,
         frames: vec![10],
         precisions: vec![Precision::Mixed],
-        adapter: AdapterChoice::Best,
+        adapter: adapter(),
     }
 }
 

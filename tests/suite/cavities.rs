@@ -3,14 +3,13 @@
 use std::fs;
 
 use cutwater::elastic::{Cavities, Solids};
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::State;
 
 use crate::cli::{folder, says};
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 
 /// A hollow ball (radius 0.3 m, cavity 0.2 m) over the floor; liquid in a sphere of some radius fills the cavity, or a part of it.
 fn ball_text(young: f64, radius: f64, more: &str) -> String {
@@ -44,7 +43,7 @@ fn ball(young: f64, radius: f64, more: &str) -> Scene {
 }
 
 fn backends() -> Vec<Backend> {
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     [Some(Backend::Cpu), device].into_iter().flatten().collect()
 }
 
@@ -113,9 +112,9 @@ fn a_pressed_ball_keeps_its_liquid() {
 fn the_source_on_the_device_is_that_of_the_twin() {
     let Some(_) = gpu() else { return };
     let (scene, frames) = (ball(2e4, 0.2, ""), 10);
-    let compared = compare(&scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+    let compared = compare(&scene, frames, &adapter(), &mut |_, _| {}).unwrap();
     compared.verdict().unwrap_or_else(|error| panic!("{error}"));
-    let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let mut simulation = Simulation::new(&scene, &Backend::Gpu(adapter())).unwrap();
     let mut off = 0.0_f64;
     while simulation.clock().frame < frames {
         simulation.step().unwrap();

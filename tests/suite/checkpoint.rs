@@ -7,7 +7,6 @@ use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::output::FolderLock;
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::manifest::{Manifest, RunOptions};
@@ -18,7 +17,7 @@ use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
 use zip::{ZipArchive, ZipWriter};
 
-use crate::common::{Random, assert_has, gpu, scene_from as scene};
+use crate::common::{Random, adapter, assert_has, gpu, scene_from as scene};
 use crate::kills::{Run, assert_same, contents};
 use crate::output::python;
 
@@ -226,7 +225,7 @@ fn the_f64_path_goes_on_to_the_bit() {
 fn the_gpu_path_goes_on_to_the_bit() {
     let Some(_) = gpu() else { return };
     for (name, scene, steps) in cases() {
-        goes_on(name, &scene, &Backend::Gpu(AdapterChoice::Best), steps);
+        goes_on(name, &scene, &Backend::Gpu(adapter()), steps);
     }
 }
 

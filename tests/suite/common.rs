@@ -38,6 +38,12 @@ pub(crate) fn gpu() -> Option<&'static Gpu> {
     }
 }
 
+/// The device of [`gpu`], so that its kernels are compiled once.
+#[track_caller]
+pub(crate) fn adapter() -> AdapterChoice {
+    gpu().map_or(AdapterChoice::Best, |gpu| AdapterChoice::Open(gpu.clone()))
+}
+
 /// Start of the line for a skipped test; its number and the name of the test follow.
 pub(crate) const SKIPPED: &str = "skipped for want of a GPU, ";
 
@@ -98,7 +104,7 @@ pub(crate) fn scene_from(text: &str, overrides: &[&str]) -> Scene {
 
 /// A simulation on the one device of the tests.
 pub(crate) fn on_gpu(scene: &Scene) -> Simulation {
-    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
+    Simulation::new(scene, &Backend::Gpu(adapter())).unwrap()
 }
 
 /// What active cells cover, seen from above, m^2: of a pool, its surface.

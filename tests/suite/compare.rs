@@ -1,14 +1,13 @@
 //! `compare`: these scenes pass it, and a value that is off does not.
 
 use cutwater::Error;
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::{Comparison, compare};
 use cutwater::reference::ActiveSurfaces;
 use cutwater::scene::Scene;
 use cutwater::sim::{Snapshot, SolidSnapshot};
 use cutwater::step::Stage;
 
-use crate::common::{gpu, project_scene as scene, scene_from};
+use crate::common::{adapter, gpu, project_scene as scene, scene_from};
 
 /// What differs by more than its bound, one per line.
 fn breaches(comparison: &Comparison) -> String {
@@ -23,7 +22,7 @@ fn breaches(comparison: &Comparison) -> String {
 
 /// Compares both paths over these frames.
 fn assert_passes(scene: &Scene, frames: u64) {
-    let comparison = compare(scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+    let comparison = compare(scene, frames, &adapter(), &mut |_, _| {}).unwrap();
     let found = breaches(&comparison);
     assert!(found.is_empty(), "{}:\n{found}", scene.name);
     assert!(comparison.verdict().is_ok(), "{}", scene.name);
@@ -176,7 +175,7 @@ fn what_is_off_is_found_and_nothing_else() {
         let stage = stage.name();
         spoilt.extend(spoil(stage, snapshot).iter().map(|&quantity| (stage, quantity)));
     };
-    let comparison = compare(&scene, 1, &AdapterChoice::Best, &mut listen).unwrap();
+    let comparison = compare(&scene, 1, &adapter(), &mut listen).unwrap();
     assert_eq!(spoilt.len(), 19);
     for row in &comparison.rows {
         let expected = spoilt.contains(&(row.stage, row.quantity));
@@ -195,7 +194,7 @@ fn compared(text: &str, frames: u64, mut held: impl FnMut(&SolidSnapshot)) -> St
             held(snapshot.solids.as_ref().unwrap());
         }
     };
-    breaches(&compare(&scene, frames, &AdapterChoice::Best, &mut listen).unwrap())
+    breaches(&compare(&scene, frames, &adapter(), &mut listen).unwrap())
 }
 
 /// A block on the floor that moves into the side of an obstacle, which looks away from the nearer wall or along it.

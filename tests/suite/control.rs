@@ -3,12 +3,11 @@
 use std::path::Path;
 
 use cutwater::Error;
-use cutwater::gpu::AdapterChoice;
 use cutwater::scene::{Keyframe, Scene};
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 
 const GATE: &str = "
 domain = { size = [1, 0.5, 0.25], cells = [16, 8, 4] }
@@ -52,7 +51,7 @@ fn keyframe(time: f64, y: f64) -> Keyframe {
 fn a_motion_that_is_set_is_that_of_the_scene() {
     let mut backends = vec![Backend::Cpu];
     if gpu().is_some() {
-        backends.push(Backend::Gpu(AdapterChoice::Best));
+        backends.push(Backend::Gpu(adapter()));
     }
     for backend in &backends {
         for text in [GATE, LIFT] {

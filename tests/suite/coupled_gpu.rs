@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{Csr, SymbolicCholesky, read_matrix, read_vector};
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::measure::compare::compare;
@@ -13,7 +12,7 @@ use cutwater::sim::{Backend, Plan, Simulation, reference_path};
 use cutwater::state::{ContactReport, SolveStatus};
 use glam::DVec3;
 
-use crate::common::{digest, gpu, on_gpu, same_with_any_number_of_threads, scene_from as scene};
+use crate::common::{adapter, digest, gpu, on_gpu, same_with_any_number_of_threads, scene_from as scene};
 
 /// A tank of 12^3 cells; `level`: m, 1 for a full one.
 fn tank(level: f64, solids: &str) -> String {
@@ -168,7 +167,7 @@ fn forces_on_each_solid_sum_up_to_those_on_all() {
         let text = tank(0.55, &format!("{solids}{}", forces(names)));
         let scene = scene(&text, overrides);
         let mut on_each = Vec::new();
-        for backend in [Backend::Gpu(AdapterChoice::Best), Backend::Cpu] {
+        for backend in [Backend::Gpu(adapter()), Backend::Cpu] {
             let mut simulation = Simulation::new(&scene, &backend).unwrap();
             simulation.step().unwrap();
             let report = simulation.step().unwrap().coupling.unwrap();
@@ -531,12 +530,12 @@ fn every_stage_is_compared() {
     let Some(_) = gpu() else { return };
     for (name, scene) in cases() {
         if scene.solver.coupling != CouplingScheme::Strong {
-            let refused = compare(&scene, 1, &AdapterChoice::Best, &mut |_, _| {});
+            let refused = compare(&scene, 1, &adapter(), &mut |_, _| {});
             let message = refused.unwrap_err().to_string();
             assert!(message.contains("solver.coupling=strong"), "{message}");
             continue;
         }
-        let compared = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        let compared = compare(&scene, 2, &adapter(), &mut |_, _| {}).unwrap();
         let stages: BTreeSet<&str> = compared.rows.iter().map(|row| row.stage).collect();
         let touching = name != "out of the liquid";
         let together = compared.rows.iter().any(|row| row.quantity == "v, with liquid");
@@ -638,7 +637,7 @@ fn exported_systems_are_the_stored_ones() {
         if gpu.has_f64() {
             scene.solver.tolerance = 1e-12;
         }
-        let device = Exported::new(&scene, Backend::Gpu(AdapterChoice::Best));
+        let device = Exported::new(&scene, Backend::Gpu(adapter()));
         let host = Exported::new(&scene, Backend::Cpu);
         let [indefinite, spd] = device.direct();
         let found = device.off([&device.solution, &indefinite]);
@@ -667,7 +666,7 @@ fn solids_out_of_the_liquid_store_no_system_of_both() {
     let Some(_) = gpu() else { return };
     let (_, scene) = cases().into_iter().find(|(name, _)| *name == "out of the liquid").unwrap();
     let options = export::Options {
-        backend: Backend::Gpu(AdapterChoice::Best),
+        backend: Backend::Gpu(adapter()),
         step: 0,
         start: None,
         out: tempfile::tempdir().unwrap().path().join("system"),

@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::Path;
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{Csr, SymbolicCholesky, norm, read_matrix, read_vector};
 use cutwater::measure::export::{Meta, Options, export};
 use cutwater::scene::Scene;
@@ -11,7 +10,7 @@ use cutwater::sim::Backend;
 use serde_json::Value;
 
 use crate::cli::list;
-use crate::common::{assert_has, gpu, json, project_scene as scene};
+use crate::common::{adapter, assert_has, gpu, json, project_scene as scene};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of};
 
@@ -113,7 +112,7 @@ fn a_sub_step_after_the_end_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let scene = scene("dam_break_liquid", 0.25, &["time.duration=0.05"]);
     let mut backends = vec![Backend::Cpu];
-    backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+    backends.extend(gpu().map(|_| Backend::Gpu(adapter())));
     for backend in backends {
         let options = Options { backend, step: 1000, start: None, out: folder.path().join("system") };
         let refused = export(&scene, &options).unwrap_err().to_string();
@@ -203,7 +202,7 @@ fn the_gpu_path_exports_what_it_stored() {
     // Rounding of the potential to f32, where the device has no f64.
     let rounded = if gpu.has_f64() { 0.0 } else { 1e-4 };
     for scene in [scene("dam_break_liquid", 0.25, &[]), scene("hydrostatic_block", 0.5, &[])] {
-        let files = Files::new(&scene, Backend::Gpu(AdapterChoice::Best), 1);
+        let files = Files::new(&scene, Backend::Gpu(adapter()), 1);
         files.check(&scene);
         let allowed = scene.solver.tolerance + rounded;
         assert!(files.residual() <= allowed, "{}", files.residual());
@@ -215,7 +214,7 @@ fn both_paths_export_the_same_system() {
     let Some(_) = gpu() else { return };
     let scene = scene("sphere_half_full", 0.5, &[]);
     let cpu = Files::new(&scene, Backend::Cpu, 0);
-    let gpu = Files::new(&scene, Backend::Gpu(AdapterChoice::Best), 0);
+    let gpu = Files::new(&scene, Backend::Gpu(adapter()), 0);
     assert_eq!(cpu.cells, gpu.cells);
     let close = |a: f64, b: f64, size: f64| (a - b).abs() <= 1e-5 * size;
     for (one, two) in cpu.matrix.triplets().zip(gpu.matrix.triplets()) {
@@ -235,7 +234,7 @@ fn liquid_without_a_surface_is_singular_and_has_an_answer() {
     let scene = scene("hydrostatic_block", 0.5, &full);
     let mut backends = vec![Backend::Cpu];
     if gpu().is_some_and(|gpu| gpu.has_f64()) {
-        backends.push(Backend::Gpu(AdapterChoice::Best));
+        backends.push(Backend::Gpu(adapter()));
     }
     for backend in backends {
         let files = Files::new(&scene, backend, 0);
@@ -369,7 +368,7 @@ fn solids_export_mass_stiffness_and_system() {
     cpu.check(&scene, 1e-15);
     let Some(gpu) = gpu() else { return };
     let eps = if gpu.has_f64() { 1e-15 } else { 1e-6 };
-    let device = SolidFiles::new(&scene, Backend::Gpu(AdapterChoice::Best), 2);
+    let device = SolidFiles::new(&scene, Backend::Gpu(adapter()), 2);
     device.check(&scene, eps);
     // Masses in f32, and two sub-steps of rounding.
     for (one, two) in cpu.matrices.iter().zip(&device.matrices) {

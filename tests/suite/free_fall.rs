@@ -1,12 +1,11 @@
 //! What touches nothing falls by g t^2 / 2, at any frame rate, on both backends.
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{State, StepReport};
 use glam::DVec3;
 
-use crate::common::{gpu, scene_from};
+use crate::common::{adapter, gpu, scene_from};
 
 const TIME: f64 = 0.25;
 const GRAVITY: DVec3 = DVec3::new(0.5, -9.75, 0.25);
@@ -53,7 +52,7 @@ fn assert_falls(what: &str, start: &State, end: &State, last: &StepReport) {
 }
 
 fn fall(what: &str, scene: &Scene) {
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     for backend in device.iter().chain(&[Backend::Cpu]) {
         let mut simulation = Simulation::new(scene, backend).unwrap();
         let start = simulation.state().unwrap();
@@ -130,7 +129,7 @@ fn gravity_over_time_is_integrated() {
     let rates = 180.0_f64.max(10.0 * 189.0_f64.sqrt());
     let longest = 1.0 / 48.0_f64;
     let bound = TIME * longest * longest * rates / 12.0 + 1e-6;
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     for backend in device.iter().chain(&[Backend::Cpu]) {
         let mut simulation = Simulation::new(&scene, backend).unwrap();
         let start = simulation.state().unwrap();
@@ -183,7 +182,7 @@ fn loads_over_time_are_integrated() {
     let scene = Scene::parse("test.toml".as_ref(), &text, &[], 1.0).unwrap();
     // Half of the peak over 0.11 s, N s.
     let impulse = DVec3::new(0.0, 2.2, 1.1);
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     for backend in device.iter().chain(&[Backend::Cpu]) {
         let mut simulation = Simulation::new(&scene, backend).unwrap();
         assert_eq!(simulation.solids().free_bodies().count(), 0, "it has a load");

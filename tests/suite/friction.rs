@@ -4,7 +4,6 @@ use std::path::Path;
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::{TetMesh, obstacle_cut};
-use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{DenseCholesky, ForceSearch, PUSHING, Row, RowSearch, UnilateralRows, complementarity};
 use cutwater::output::write_mesh;
 use cutwater::reference::{Reference, TimeStep};
@@ -13,7 +12,7 @@ use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{State, StepReport};
 use glam::{DMat3, DVec3};
 
-use crate::common::{Random, gpu, project_scene};
+use crate::common::{Random, adapter, gpu, project_scene};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of, solids_of};
 
@@ -311,7 +310,7 @@ fn scene_text(text: &str) -> Result<Scene, String> {
 }
 
 fn devices() -> Vec<Backend> {
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     [Some(Backend::Cpu), device].into_iter().flatten().collect()
 }
 

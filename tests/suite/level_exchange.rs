@@ -8,7 +8,7 @@ use cutwater::fields::{
     Sources, Step,
 };
 use cutwater::geometry::{MARKERS_PER_CELL, MOST_SITES, Running, SourcesAndSinks, obstacle_cut};
-use cutwater::gpu::{AdapterChoice, Gpu, Real, Recorder};
+use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{self, Ballistic, filled};
 use cutwater::scene::Scene;
@@ -17,7 +17,7 @@ use cutwater::stages;
 use cutwater::state::{Exchange, LiquidReport};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 use crate::level_case::with_level;
 use crate::liquid_case::{Case, EPS, assert_close, single};
 use crate::twin_exchange;
@@ -43,7 +43,7 @@ const DRAIN: &str = "[[sink]]\nbox = { min = [0.40625, 0.0625, 0.0], max = [0.5,
      [[obstacle]]\nbox = { min = [0.39, 0.0, 0.1], max = [0.44, 0.11, 0.2] }\n";
 
 fn backends() -> Vec<Backend> {
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     std::iter::once(Backend::Cpu).chain(device).collect()
 }
 

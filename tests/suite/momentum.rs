@@ -14,7 +14,6 @@
 use std::fs;
 
 use cutwater::elastic::Solids;
-use cutwater::gpu::AdapterChoice;
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{Ballistic, Stencil, StepSystem, TimeStep, advect_velocity, forces};
 use cutwater::scene::Scene;
@@ -23,7 +22,7 @@ use cutwater::state::{SolveStatus, StepReport};
 use cutwater::step::Stage;
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 
 const DENSITY: f64 = 1000.0;
 
@@ -374,7 +373,7 @@ fn on_the_device_it_is_that_too() {
     let Some(_) = gpu() else { return };
     for case in cases() {
         let grid = case.scene.grid();
-        let mut path = GpuPath::open(&case.scene, &AdapterChoice::Best).unwrap();
+        let mut path = GpuPath::open(&case.scene, &adapter()).unwrap();
         let solids = path.solids().unwrap().clone();
         for _ in 0..STEPS {
             let mut seen = Vec::new();

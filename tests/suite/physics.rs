@@ -1,17 +1,16 @@
 //! The GPU path against what is known exactly, and against itself.
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::scene::{Scene, Surface};
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, State};
 
-use crate::common::{area_from_above, digest, gpu, same_with_any_number_of_threads};
+use crate::common::{adapter, area_from_above, digest, gpu, same_with_any_number_of_threads};
 use crate::reference_physics::{
     DAM, DAM_RELEASE_ERROR, GRAVITY, dam_release_error, dam_release_scene, flies_on, flights, pool, rest_cases, scene,
 };
 
 fn simulation(scene: &Scene) -> Simulation {
-    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
+    Simulation::new(scene, &Backend::Gpu(adapter())).unwrap()
 }
 
 /// F1, F2 in `mixed`: ten times the tolerance, or what f32 velocities of g dt leave of a difference of potentials.

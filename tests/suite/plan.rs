@@ -6,14 +6,14 @@ use std::fs;
 use std::path::Path;
 
 use cutwater::effects::Effects;
-use cutwater::gpu::{AdapterChoice, AdapterReport};
+use cutwater::gpu::AdapterReport;
 use cutwater::grid::Axis;
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
 
 use crate::cli::{complains, cutwater, ends, folder, text};
-use crate::common::{gpu, project_scene as scene, scene_from};
+use crate::common::{adapter, gpu, project_scene as scene, scene_from};
 use crate::reference_physics::{pool, scene as written};
 
 const SCENES: [(&str, f64); 7] = [
@@ -41,7 +41,7 @@ fn allocated(simulation: &Simulation) -> Vec<(String, u64)> {
 
 /// The simulation of a scene, with its plan.
 fn made(scene: &Scene) -> (Simulation, Plan) {
-    let simulation = Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let simulation = Simulation::new(scene, &Backend::Gpu(adapter())).unwrap();
     let plan = Plan::new(scene, simulation.adapter()).unwrap();
     (simulation, plan)
 }

@@ -1,11 +1,10 @@
 //! Probes of solids: reactions of pins and scripts against the balance of momentum, velocities, and means over nodes.
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
 
-use crate::common::{gpu, scene_from};
+use crate::common::{adapter, gpu, scene_from};
 
 const GRAVITY: DVec3 = DVec3::new(0.0, -9.81, 0.5);
 
@@ -76,7 +75,7 @@ fn reactions_close_the_balance_of_momentum() {
     for liquid in [false, true] {
         let scene = scene(liquid);
         let mut ends = Vec::new();
-        for backend in [Backend::Cpu, Backend::Gpu(AdapterChoice::Best)] {
+        for backend in [Backend::Cpu, Backend::Gpu(adapter())] {
             if matches!(backend, Backend::Gpu(_)) && gpu().is_none() {
                 continue;
             }

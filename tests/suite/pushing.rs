@@ -1,13 +1,12 @@
 //! Moving obstacles that push solids: on the f64 path against what is known, and the device against the f64 path.
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{State, StepReport};
 use glam::{DQuat, DVec3};
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 use crate::solid_scene::solids_of;
 
 /// A domain of 1 m with cells of 1/20 m.
@@ -134,7 +133,7 @@ fn a_turning_bar_sweeps_a_block() {
 #[test]
 fn pushed_solids_are_the_twins() {
     let Some(_) = gpu() else { return };
-    let comparison = compare(&lift(1e6), 10, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+    let comparison = compare(&lift(1e6), 10, &adapter(), &mut |_, _| {}).unwrap();
     let breached: Vec<_> = comparison.rows.iter().filter(|row| row.breached()).collect();
     assert!(breached.is_empty(), "{breached:?}");
     assert!(comparison.verdict().is_ok());

@@ -2,12 +2,11 @@
 
 use cutwater::elastic::{Solids, energy_density};
 use cutwater::geometry::contact_pairs;
-use cutwater::gpu::AdapterChoice;
 use cutwater::scene::{Scene, SolidMesh};
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
 
-use crate::common::{gpu, project_scene, scene_from};
+use crate::common::{adapter, gpu, project_scene, scene_from};
 use crate::coupled_gpu::off;
 use crate::solid_scene::{alone, block, body};
 
@@ -178,7 +177,7 @@ fn self_contact_on_the_device_is_that_of_the_twin() {
         assert!(before.time < 0.5, "it touches itself");
         before = twin.state().unwrap();
     };
-    let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let mut simulation = Simulation::new(&scene, &Backend::Gpu(adapter())).unwrap();
     simulation.reset(&before).unwrap();
     let report = simulation.step().unwrap().solid.unwrap();
     assert!(report.contact.solves > 1, "{report:?} for {pressed:?}");

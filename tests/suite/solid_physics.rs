@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use cutwater::geometry::obstacle_cut;
-use cutwater::gpu::{AdapterChoice, Gpu};
+use cutwater::gpu::Gpu;
 use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{ElasticModel, Keyframe, Motion, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh};
@@ -11,7 +11,7 @@ use cutwater::sim::{Backend, Options, Simulation};
 use cutwater::state::{ContactReport, SolidReport, SolveStatus, State};
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 use crate::solid_cases::{
     THROWS, TIMOSHENKO, backward_euler, bar_on_rollers, cantilever, cantilever_table, flying_block, held, hung_beam,
     inverted, lame_cube, lame_shape, region, thrown_about, tip, worst_of_nodal_table,
@@ -285,7 +285,7 @@ fn longer_sub_steps_take_no_body_through_a_surface() {
         }
         throws.push((scene, (speed, obstacle)));
     }
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     for ((scene, what), share) in throws.iter().flat_map(|throw| [1.0, 0.7, 0.3].map(|share| (throw, share))) {
         let mut steps = Vec::new();
         for backend in [Some(Backend::Cpu), device.clone()].into_iter().flatten() {
@@ -553,7 +553,7 @@ fn a_search_goes_on_from_solves_that_end_at_their_rounding() {
     assert_eq!(status, SolveStatus::Stagnated, "{reports:?}");
 
     let Some(_) = gpu() else { return };
-    let backend = Backend::Gpu(AdapterChoice::Best);
+    let backend = Backend::Gpu(adapter());
     assert_settled(&backend, &run(&scene, &backend));
     scene.solver.max_iterations = 1;
     let reports = run(&scene, &backend);
@@ -626,7 +626,7 @@ fn a_script_may_be_faster_than_the_first_step() {
     let mut backends = vec![(Backend::Cpu, 1e-13)];
     if gpu().is_some() {
         // Velocities of prescribed components are f32.
-        backends.push((Backend::Gpu(AdapterChoice::Best), 1e-8));
+        backends.push((Backend::Gpu(adapter()), 1e-8));
     }
     for (backend, bound) in backends {
         let mut simulation = Simulation::new(&scene, &backend).unwrap();

@@ -4,13 +4,12 @@ use std::path::Path;
 
 use cutwater::Error;
 use cutwater::geometry::{TetMesh, solid_meshes};
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 
 fn parse(text: &str, overrides: &[&str]) -> Result<Scene, Error> {
     let overrides: Vec<String> = overrides.iter().map(|&setting| setting.to_owned()).collect();
@@ -193,7 +192,7 @@ fn half_a_ball_floats_as_the_whole() {
     println!("{whole} N, {part} N");
     assert!((2.0 * part.y / whole.y - 1.0).abs() < 0.02, "{whole} N, {part} N");
     let Some(_) = gpu() else { return };
-    let comparison = compare(&parse(FLOATS, &half).unwrap(), 1, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+    let comparison = compare(&parse(FLOATS, &half).unwrap(), 1, &adapter(), &mut |_, _| {}).unwrap();
     let breached: Vec<_> =
         comparison.rows.iter().filter(|row| row.breached()).map(|row| (row.stage, row.quantity)).collect();
     assert!(comparison.verdict().is_ok(), "{breached:?}");

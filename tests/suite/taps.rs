@@ -5,12 +5,11 @@ use std::path::Path;
 
 use cutwater::Error;
 use cutwater::geometry::{SourcesAndSinks, obstacle_cut};
-use cutwater::gpu::AdapterChoice;
 use cutwater::scene::{Scene, VectorKeyframe};
 use cutwater::sim::{Backend, Plan, Simulation};
 use cutwater::state::{Exchange, SolveStatus, State, StepReport};
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 
 fn parse(rest: &str) -> Result<Scene, Error> {
     let text = format!("[domain]\nsize = [0.5, 0.5, 0.25]\ncells = [16, 16, 8]\n[time]\nduration = 1.0\n{rest}");
@@ -18,7 +17,7 @@ fn parse(rest: &str) -> Result<Scene, Error> {
 }
 
 fn on_gpu(scene: &Scene) -> Simulation {
-    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
+    Simulation::new(scene, &Backend::Gpu(adapter())).unwrap()
 }
 
 /// Sub-steps up to a frame; the sum of what came and went.
@@ -326,7 +325,7 @@ fn a_source_over_time_emits_the_integral_of_its_flow() {
     let Some(_) = gpu() else { return };
     let scene = pulsing("markers");
     let area = 0.125 * 0.125;
-    for backend in [Backend::Cpu, Backend::Gpu(AdapterChoice::Best)] {
+    for backend in [Backend::Cpu, Backend::Gpu(adapter())] {
         let mut simulation = Simulation::new(&scene, &backend).unwrap();
         let pulse = run(&mut simulation, 12, |_| {});
         let expected = 0.125 * area + 0.25 * area;
@@ -350,7 +349,7 @@ fn a_level_over_time_emits_what_it_moves() {
     let Some(_) = gpu() else { return };
     let scene = pulsing("level");
     let speed = |times| VectorKeyframe::mean(&scene.sources[0].keyframes, times).length();
-    for backend in [Backend::Cpu, Backend::Gpu(AdapterChoice::Best)] {
+    for backend in [Backend::Cpu, Backend::Gpu(adapter())] {
         let mut simulation = Simulation::new(&scene, &backend).unwrap();
         let mut before = simulation.step().unwrap().dt;
         let start = simulation.state().unwrap().volume_0;
@@ -418,7 +417,7 @@ fn a_source_in_a_full_vessel_is_told() {
         (0.25, "", 0, SolveStatus::Converged),
     ] {
         let mut backends = vec![Backend::Cpu];
-        backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+        backends.extend(gpu().map(|_| Backend::Gpu(adapter())));
         for backend in backends {
             let mut simulation = Simulation::new(&scene(level, solid), &backend).unwrap();
             let liquid = simulation.step().unwrap().liquid.unwrap();
@@ -454,7 +453,7 @@ fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
         [(0.5, SolveStatus::Converged), (0.25, SolveStatus::Incompatible), (0.0, SolveStatus::Incompatible)]
     {
         let mut backends = vec![Backend::Cpu];
-        backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+        backends.extend(gpu().map(|_| Backend::Gpu(adapter())));
         for backend in backends {
             let mut simulation = Simulation::new(&scene(speed), &backend).unwrap();
             let report = simulation.step().unwrap();
@@ -474,7 +473,7 @@ fn what_moves_away_takes_no_cells_of_a_source() {
     let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}{gate}")).unwrap();
     let mut backends = vec![Backend::Cpu];
     if gpu().is_some() {
-        backends.push(Backend::Gpu(AdapterChoice::Best));
+        backends.push(Backend::Gpu(adapter()));
     }
     for backend in backends {
         let mut simulation = Simulation::new(&scene, &backend).unwrap();
@@ -495,7 +494,7 @@ fn what_a_gate_covers_gets_no_markers() {
                 keyframes = [{ t = 0 }, { t = 0.05, translate = [-0.1875, 0, 0] }, { t = 0.15, translate = [-0.1875, 0, 0] }, { t = 0.2 }]\n";
     let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}{gate}")).unwrap();
     let mut backends = vec![Backend::Cpu];
-    backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+    backends.extend(gpu().map(|_| Backend::Gpu(adapter())));
     for backend in backends {
         let mut simulation = Simulation::new(&scene, &backend).unwrap();
         let mut covered = Vec::new();
@@ -523,7 +522,7 @@ fn a_fountain_comes_to_a_steady_volume() {
     let Some(_) = gpu() else { return };
     let sink = "[[sink]]\nbox = { min = [0.4375, 0.125, 0.0], max = [0.5, 0.1875, 0.25] }\n";
     let scene = parse(&format!("[liquid]\nsurface = \"markers\"\n{POOL}{TAP}{sink}")).unwrap();
-    for backend in [Backend::Gpu(AdapterChoice::Best), Backend::Cpu] {
+    for backend in [Backend::Gpu(adapter()), Backend::Cpu] {
         let frames = match backend {
             Backend::Gpu(_) => 96,
             Backend::Cpu => 6,

@@ -1,14 +1,13 @@
 //! Solids that touch each other (`solver.solid_contact`), on the f64 path.
 
 use cutwater::geometry::{ContactPair, contact_hits, contact_pairs, obstacle_cut};
-use cutwater::gpu::AdapterChoice;
 use cutwater::reference::{ActiveSurfaces, Contacts, Reference, TimeStep, Touching};
 use cutwater::scene::{Placement, Scene, Solid, SolidMesh};
 use cutwater::sim::{Backend, Plan, Simulation};
 use cutwater::state::{ContactReport, State};
 use glam::{DMat3, DVec3};
 
-use crate::common::{Random, gpu};
+use crate::common::{Random, adapter, gpu};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, body, scene_of, solids_of};
 
@@ -236,13 +235,14 @@ fn motions_through_surfaces_are_found() {
     }
 }
 
-/// A bar through a slab has pairs although its ends are outside: of the deepest points of its edges, and of its nodes inside. A motion in which they
-/// come deeper is found.
+/// A bar through a slab has pairs although its ends are outside: of the deepest points of its edges or of its deepest nodes. A motion in which they come
+/// deeper is found.
 #[test]
 fn deep_overlaps_have_pairs() {
-    // The slab from y = 1.8 to 2, the bar from 1.44 to 2.44 beside its middle. Of the nine points of an edge one is at 1.94, 0.06 below the top; of
-    // edges half as long one is at 1.8775.
-    for (cells, depths) in [(1, &[0.06][..]), (2, &[0.06, 0.0775])] {
+    // The slab from y = 1.8 to 2, the bar from 1.44 to 2.44 beside its middle. One of the nine points of an edge is at 1.94, 0.06 below the top. One of
+    // edges half as long is at 1.8775. With eight edges one end is at 1.815, and the deepest point between is at 1.893125.
+    let cases = [(1, &[0.06][..]), (2, &[0.06, 0.0775]), (8, &[0.093125])];
+    for (cells, depths) in cases {
         let (mut slab, mut bar) = (block([1.0, 0.2, 1.0], [2, 1, 2]), block([0.1, 1.0, 0.1], [1, cells, 1]));
         slab.placement.translate = DVec3::new(1.5, 1.9, 1.5);
         bar.placement.translate = DVec3::new(1.36, 1.94, 1.47);
@@ -326,7 +326,7 @@ fn a_state_limits_the_next_sub_step() {
     let mut scene = scene_of(vec![block([0.2; 3], [1; 3])]);
     scene.solver.solid_contact = true;
     scene.time.fixed_step = Some(0.01);
-    let device = gpu().map(|_| Backend::Gpu(AdapterChoice::Best));
+    let device = gpu().map(|_| Backend::Gpu(adapter()));
     for backend in [Some(Backend::Cpu), device].into_iter().flatten() {
         let mut simulation = Simulation::new(&scene, &backend).unwrap();
         let whole = simulation.step().unwrap().dt;
@@ -382,7 +382,7 @@ fn contact_of_solids_is_refused_where_it_is_missing() {
     }
     let scene = parse(&text("precision = \"f32\"")).unwrap();
     assert!(Simulation::new(&scene, &Backend::Cpu).is_ok());
-    let refused = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best));
+    let refused = Simulation::new(&scene, &Backend::Gpu(adapter()));
     let refused = refused.err().unwrap().to_string();
     assert!(refused.contains("--backend cpu"), "{refused}");
     let scene = parse(&text("")).unwrap();

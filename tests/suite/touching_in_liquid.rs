@@ -4,14 +4,13 @@ use std::collections::BTreeSet;
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::{ContactPair, contact_pairs};
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
 use cutwater::scene::{Formulation, Scene};
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 use crate::coupled_gpu::off;
 
 fn scene(text: &str) -> Scene {
@@ -22,7 +21,7 @@ fn scene(text: &str) -> Scene {
 }
 
 fn on_device() -> Option<Backend> {
-    gpu().map(|_| Backend::Gpu(AdapterChoice::Best))
+    gpu().map(|_| Backend::Gpu(adapter()))
 }
 
 fn bars(level: f64, speed: f64) -> Scene {
@@ -333,7 +332,7 @@ fn contact_on_the_device_passes_the_comparison() {
         ("over water", bars(0.15, 20.0), 1),
         ("falling", falling(1e7, 1500.0, "walls"), 10),
     ] {
-        let compared = compare(&scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        let compared = compare(&scene, frames, &adapter(), &mut |_, _| {}).unwrap();
         compared.verdict().unwrap_or_else(|error| panic!("{what}: {error}"));
     }
 }

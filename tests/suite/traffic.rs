@@ -1,10 +1,10 @@
 //! Waits, submissions, dispatches and bytes of the first sub-steps of nine scenes, against a table of what they were: they may only fall.
 
-use cutwater::gpu::{AdapterChoice, Traffic};
+use cutwater::gpu::Traffic;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 
-use crate::common::{gpu, root};
+use crate::common::{adapter, gpu, root};
 
 const SUB_STEPS: usize = 3;
 
@@ -12,7 +12,7 @@ const SUB_STEPS: usize = 3;
 fn traffic(name: &str, scale: f64, overrides: &[String]) -> Traffic {
     let file = root().join(format!("scenes/{name}.toml"));
     let scene = Scene::load(&file, overrides, scale).unwrap();
-    let backend = Backend::Gpu(AdapterChoice::Best);
+    let backend = Backend::Gpu(adapter());
     let mut simulation = Simulation::new(&scene, &backend).unwrap();
     let before = simulation.gpu().unwrap().traffic();
     for _ in 0..SUB_STEPS {

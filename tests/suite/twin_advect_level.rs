@@ -175,7 +175,7 @@ pub(crate) fn settled(case: &Case, in_band: &dyn Fn([usize; 3]) -> bool) -> impl
 
 /// [`assert_close`] for limited corrections: (gpu, [twin, twin of first order], bound, place). In few places rounding may decide that one of both
 /// stays of first order.
-fn assert_limited(what: &str, places: impl IntoIterator<Item = (f64, [f64; 2], f64, [usize; 3])>) {
+pub(crate) fn assert_limited(what: &str, places: impl IntoIterator<Item = (f64, [f64; 2], f64, [usize; 3])>) {
     let (mut n, mut n_flipped) = (0, 0);
     let mut alike = Vec::new();
     for (gpu, [twin, first], bound, place) in places {

@@ -232,6 +232,9 @@ fn check_components(run: &Run, phi: &[f64], volume_0: &[f64], origins: &[u32]) -
     let total = run.volume_0 / one - flying as f64 / 8.0;
     let mut targets = shares.clone();
     reference::balance(total * one, &twin.volume, &mut targets);
+    if !case.effects.open_sides {
+        reference::cap_targets(&twin.volume, &mut targets);
+    }
     let whole = twin.volume.iter().sum::<f64>() / one;
     let shared = shares.iter().sum::<f64>() / one;
     let rest = (total - shared).abs();
@@ -248,7 +251,8 @@ fn check_components(run: &Run, phi: &[f64], volume_0: &[f64], origins: &[u32]) -
             let part = twin.volume[k] / one / whole;
             let part_bound = volume_bound[k] / whole + part * (whole_bound + SUM + 6.0 * EPS);
             let bound = share_bound[k] + SUM * share.abs() + rest_bound * part + rest * part_bound + EPS * target.abs();
-            (state.component_volume[k] / one, target, bound, [k, 1, 0])
+            // A minimum is off by at most as much as one of both.
+            (state.component_volume[k] / one, target, bound.max(4.0 * volume_bound[k] + EPS * target), [k, 1, 0])
         }),
     );
     twin

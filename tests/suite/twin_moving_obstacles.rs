@@ -4,14 +4,14 @@
 use cutwater::effects::Effects;
 use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
 use cutwater::geometry::{MovingWall, SolidClip, obstacle_cut};
-use cutwater::gpu::{AdapterChoice, Real, Recorder};
+use cutwater::gpu::{Real, Recorder};
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation, solids_of};
 use cutwater::stages;
 use cutwater::state::SolveStatus;
 
-use crate::common::{gpu, scene_from};
+use crate::common::{adapter, gpu, scene_from};
 use crate::moving_obstacles::squeezed_vessel;
 
 /// A paddle that turns, a tank that drifts and a post that stands, in water; and more.
@@ -109,7 +109,7 @@ fn steps_are_those_of_the_twins() {
     let weak = format!("{BLOCK}[solver]\npressure_on_patches = \"gradient\"\n");
     for (name, more) in [("liquid", ""), ("both", BLOCK), ("gradient", &weak)] {
         let scene = scene(more);
-        let comparison = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        let comparison = compare(&scene, 2, &adapter(), &mut |_, _| {}).unwrap();
         for row in &comparison.rows {
             assert!(!row.breached(), "{name}: {} {}: {:?}", row.stage, row.quantity, row.worst);
         }
@@ -121,7 +121,7 @@ fn steps_are_those_of_the_twins() {
 fn a_vessel_that_shrinks_is_told() {
     let Some(_) = gpu() else { return };
     let scene = squeezed_vessel();
-    let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let mut simulation = Simulation::new(&scene, &Backend::Gpu(adapter())).unwrap();
     let liquid = simulation.step().unwrap().liquid.unwrap();
     assert_eq!(liquid.closed_components, 1);
     assert_eq!(liquid.solve.status, SolveStatus::Incompatible);

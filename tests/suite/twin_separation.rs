@@ -1,20 +1,19 @@
 //! Separation on the GPU: the conditions of its result, its twin, and resumed runs.
 
-use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::compare;
 use cutwater::reference::touching_cells;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State};
 
-use crate::common::gpu;
+use crate::common::{adapter, gpu};
 use crate::liquid_case::EPS;
 use crate::separation::{
     DAM, GRAVITY, Solved, assert_complementary, ceiling, domain, filled, piston, pulled_block, scene, separation, speed,
 };
 
 fn on_gpu(text: &str) -> Simulation {
-    Simulation::new(&scene(text), &Backend::Gpu(AdapterChoice::Best)).unwrap()
+    Simulation::new(&scene(text), &Backend::Gpu(adapter())).unwrap()
 }
 
 /// The wave of the dam on its way along the ceiling, rounded as on the device.
@@ -249,7 +248,7 @@ fn both_forms_separate_the_same_cells() {
 
 /// Compares every stage with its twin.
 fn assert_clean(scene: &Scene, frames: u64, case: &str) {
-    let comparison = compare(scene, frames, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+    let comparison = compare(scene, frames, &adapter(), &mut |_, _| {}).unwrap();
     let breached: Vec<_> = comparison.rows.iter().filter(|row| row.breached()).collect();
     assert!(breached.is_empty(), "{case}: {breached:?}");
     assert!(comparison.verdict().is_ok(), "{case}");

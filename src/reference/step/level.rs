@@ -8,11 +8,11 @@ use crate::reference::level_cells::in_cells;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
-    advect_level, advect_level_markers, balance, bound_level, closed_to_markers, component_origins, emit_markers,
-    empty_level_sinks, excess, extend_level, fill_sources, filter_level, hold_source_origins, interpolant_part, land,
-    largest_shift, limit_targets, liquid_components, marker_band, move_spray_volume, occupancy, open_volumes, outflow,
-    raise_separated, redistance, remove_volumes, renewed_volume, separated_level, shared_volumes, spray, sunk_volumes,
-    take_landing, thin_liquid, volume_shift,
+    advect_level, advect_level_markers, balance, bound_level, cap_targets, closed_to_markers, component_origins,
+    emit_markers, empty_level_sinks, excess, extend_level, fill_sources, filter_level, hold_source_origins,
+    interpolant_part, land, largest_shift, limit_targets, liquid_components, marker_band, move_spray_volume, occupancy,
+    open_volumes, outflow, raise_separated, redistance, remove_volumes, renewed_volume, separated_level,
+    shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -235,9 +235,12 @@ impl SubStep<'_> {
         let flying = self.spray_volume(flying);
         balance(whole - flying, &components.volume, &mut targets);
         self.after.volume_0 = whole;
-        if model.effects.open_sides {
-            limit_targets(&components.volume, self.results.level.renewed, &mut targets);
-            self.after.volume_0 = targets.iter().sum::<f64>() + flying;
+        match model.effects.open_sides {
+            true => {
+                limit_targets(&components.volume, self.results.level.renewed, &mut targets);
+                self.after.volume_0 = targets.iter().sum::<f64>() + flying;
+            }
+            false => cap_targets(&components.volume, &mut targets),
         }
         self.results.exchange.volume_left = left;
         self.results.exchange.volume_sunk = sunk;

@@ -197,7 +197,7 @@ impl LiquidComparison<'_> {
         self.twin.exchanged = [(left, left_bound), sunk, filled];
     }
 
-    /// Bound: [`maccormack_error`]. The taps that limit a velocity may hang on a rounding.
+    /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
     pub(super) fn maccormack(&mut self, after: &LiquidSnapshot, (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3])) {
         let (grid, dt) = (self.grid, self.dt());
         let ballistic = self.ballistic();
@@ -353,7 +353,14 @@ impl LiquidComparison<'_> {
             total += one * (of_step.filled - of_step.left - of_step.sunk + of_step.limited);
         }
         let bound = 1e-5 * total.abs();
-        let twin_whole = if twin.volume.is_empty() { 0.0 } else { total };
+        // Where a target is capped at a multiple of its volume, less than the total is distributed.
+        let mut targets = now.component_volume.iter().zip(&twin.volume);
+        let capped = targets.any(|(target, volume)| *target >= 0.999 * reference::LARGEST_TARGET * volume);
+        let twin_whole = match (twin.volume.is_empty(), capped) {
+            (true, _) => 0.0,
+            (_, true) => total.min(whole),
+            _ => total,
+        };
         self.table.whole(["target volume", "m^3"], whole, twin_whole, bound);
     }
 
