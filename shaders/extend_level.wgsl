@@ -31,7 +31,7 @@ fn extend_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
             phi = from_neighbours(cell, false);
         }
         // Transport and volumes interpolate between cells on both sides of closed faces.
-        if phi >= UNKNOWN && is_closed(cell) {
+        if phi >= UNKNOWN {
             phi = from_neighbours(cell, true);
         }
         distance_out[cell] = phi;

@@ -40,20 +40,6 @@ fn neighbour(cell: u32, axis: u32, side: u32, closed: bool) -> Neighbour {
     return Neighbour(other, select(0.0, fraction, known), phi);
 }
 
-// Whether no open face leads from a cell to another.
-fn is_closed(cell: u32) -> bool {
-    for (var axis = 0u; axis < 3u; axis++) {
-        let stride = select(select(4u * level.stride_z, 4u * level.stride_y, axis == 1u), 1u, axis == 0u);
-        for (var side = 0u; side < 2u; side++) {
-            let plus = cell + side * stride;
-            if open[axis * 4u * level.quads + plus] > 0.0 && !outside(plus - (1u - side) * stride) {
-                return false;
-            }
-        }
-    }
-    return true;
-}
-
 fn from_neighbours(cell: u32, closed: bool) -> f32 {
     var slope = vec3<f32>();
     var pairs = vec3<f32>(FLAT_PAIRS);

@@ -23,7 +23,8 @@ pub enum AdapterChoice {
     Kind(wgpu::DeviceType),
     /// First adapter whose name contains the text, ignoring case.
     Name(String),
-    /// That of an open device, which is shared with its compiled kernels: simulations start sooner.
+    /// That of an open device, which is shared with its compiled kernels: simulations start sooner. An error of the device is returned to the first
+    /// user that checks for it.
     Open(Gpu),
 }
 
@@ -365,6 +366,9 @@ impl Gpu {
 
     /// The adapter of a choice, without opening a device.
     pub fn find(choice: &AdapterChoice) -> Result<AdapterReport, Error> {
+        if let AdapterChoice::Open(gpu) = choice {
+            return Ok(gpu.report.clone());
+        }
         choose(choice).map(|adapter| AdapterReport::new(&adapter))
     }
 
@@ -515,7 +519,7 @@ impl Gpu {
 
     pub(super) fn keep_kernel(&self, source: &Source, variant: Variant, kernel: &Kernel) {
         if let Some(Ok(mut kernels)) = self.open().map(|open| open.kernels.lock()) {
-            kernels.insert((*source, variant), kernel.clone());
+            kernels.entry((*source, variant)).or_insert_with(|| kernel.clone());
         }
     }
 

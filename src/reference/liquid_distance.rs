@@ -87,8 +87,7 @@ fn extend(grid: &Grid, cut: &CutCells, rule: Extension, phi: &mut [f64]) {
     for _ in 0..EXTENSION_PASSES {
         let value = |&cell: &usize| {
             let through = |closed: bool| from_neighbours(grid, cut, rule, phi, &known, cell, closed);
-            let behind_wall = rule.through_closed && is_closed(grid, cut, cell);
-            through(false).or_else(|| behind_wall.then(|| through(true)).flatten())
+            through(false).or_else(|| rule.through_closed.then(|| through(true)).flatten())
         };
         let values: Vec<_> = unknown.par_iter().map(value).collect();
         for (&cell, value) in unknown.iter().zip(&values) {
@@ -109,17 +108,6 @@ struct Neighbour {
     /// Signed offset along the axis, cells.
     way: f64,
     open: f64,
-}
-
-/// Whether no open face leads from a cell to another.
-fn is_closed(grid: &Grid, cut: &CutCells, cell: usize) -> bool {
-    let faces = Axis::ALL.into_iter().flat_map(|axis| [0, 1].map(|side| (axis, side)));
-    let mut open = faces.filter(|&(axis, side)| {
-        let mut face = grid.cell_at(cell);
-        face[axis.index()] += side;
-        grid.face_sides(axis, face)[side].is_some() && cut.open[axis.index()][grid.face(axis, face)] > 0.0
-    });
-    open.next().is_none()
 }
 
 /// The known cells across the open faces of a cell; with `closed` across all, with aperture 1.

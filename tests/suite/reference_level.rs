@@ -227,37 +227,6 @@ fn redistance_leaves_no_surface_in_a_body_that_liquid_has_met() {
     close(after[at(6, 6)], 0.3, 0.05);
 }
 
-/// Liquid on a plate of two cells is not in the gap below it, whose cells have their centres in the plate.
-#[test]
-fn a_level_stays_on_its_side_of_a_wall() {
-    let grid = grid([12, 8, 3]);
-    let mut cut = without_bodies(&grid);
-    // The plate: rows 0 to 2 of columns 0 to 8. The lower two fifths of row 0 are open.
-    let in_plate = |ijk: [usize; 3]| ijk[0] < 9 && ijk[1] < 3;
-    for cell in 0..grid.n_cells() {
-        if in_plate(grid.cell_at(cell)) {
-            cut.solid_distance[cell] = -0.1 * DX;
-        }
-    }
-    for axis in Axis::ALL {
-        for face in 0..grid.n_faces(axis) {
-            let ijk = grid.face_at(axis, face);
-            let sides = grid.face_sides(axis, ijk).into_iter().flatten();
-            if sides.map(|cell| grid.cell_at(cell)).any(in_plate) {
-                let in_gap = axis != Axis::Y && ijk[1] == 0;
-                cut.open[axis.index()][face] *= if in_gap { 0.4 } else { 0.0 };
-            }
-        }
-    }
-    let mut level = field(&grid, |x| if x.x < 9.0 && x.y > 3.0 { -3.0 } else { 3.0 });
-    extend_level(&grid, &cut, &mut level);
-    for i in 0..9 {
-        let gap = level[grid.cell([i, 0, 1])];
-        assert!(gap > 0.0, "column {i}: {gap}");
-        assert!(level[grid.cell([i, 2, 1])] < 0.0, "the wall has the level of the side where it is closed");
-    }
-}
-
 #[test]
 fn redistance_keeps_the_interface_cells_of_a_plane() {
     let grid = grid([20, 20, 20]);

@@ -355,7 +355,8 @@ impl LiquidComparison<'_> {
         let bound = 1e-5 * total.abs();
         // Where a target is capped at a multiple of its volume, less than the total is distributed.
         let mut targets = now.component_volume.iter().zip(&twin.volume);
-        let capped = targets.any(|(target, volume)| *target >= 0.999 * reference::LARGEST_TARGET * volume);
+        let capped = !Effects::of(self.scene).open_sides
+            && targets.any(|(target, volume)| *target >= 0.999 * reference::LARGEST_TARGET * volume);
         let twin_whole = match (twin.volume.is_empty(), capped) {
             (true, _) => 0.0,
             (_, true) => total.min(whole),
