@@ -52,7 +52,7 @@ const DEEP: f64 = 2e-3;
 /// Direction in which faces are counted: along no edge of a regular mesh.
 const OBLIQUE: DVec3 = DVec3::new(0.9129, 0.3719, 0.1685);
 /// Part of an overlap by which it may grow in a motion: turning bodies change it by as much.
-const GROWTH: f64 = 1e-2;
+const OVERLAP_GROWTH: f64 = 1e-2;
 /// Depth of following meetings of a body with itself over that of leading ones.
 const LATER: f64 = 10.0;
 /// Largest overlap of a body with itself, relative to its shortest edge.
@@ -146,7 +146,7 @@ impl Skin {
             false => NODE_SLACK,
         };
         // A deep node stands back only for neighbours that are deeper: others are behind the far side of this body.
-        let counts = |other: DVec3| {
+        let counts = |&other: &DVec3| {
             let deep = nearest.is_inside && distance > DEEP * x.distance(other);
             let deeper = || {
                 let to = mesh.project_local_point(other, false);
@@ -154,8 +154,8 @@ impl Skin {
             };
             !deep || deeper()
         };
-        let mut neighbours = neighbours.iter().map(|&other| positions[other as usize]);
-        if neighbours.any(|other| !is_foremost(x, [other].into_iter(), -normal, slack) && counts(other)) {
+        let neighbours = neighbours.iter().map(|&other| positions[other as usize]);
+        if !is_foremost(x, neighbours.filter(counts), -normal, slack) {
             return None;
         }
         let points = self.face_points(face, at)?.chain([(*node, 1.0)]);
@@ -181,8 +181,8 @@ impl Skin {
 
     /// The pair of the deepest point of an edge of another body inside this one, if it is deeper than the ends of the edge.
     fn deep_inside(&self, edge: [u32; 2], positions: &[DVec3]) -> Option<ContactPair> {
-        let ends @ [a, b] = edge.map(|node| positions[node as usize]);
-        self.is_near(&ends, 0.0).then_some(())?;
+        let [a, b] = edge.map(|node| positions[node as usize]);
+        self.is_near(&[a, b], 0.0).then_some(())?;
         // Part of the edge, way to the surface, and place there.
         let inside = |part: u32| {
             let s = f64::from(part) / f64::from(PARTS);
@@ -360,7 +360,7 @@ pub fn contact_hits(
     let bounds = |body: &Range<usize>| motion.bounds(triangles[body.clone()].as_flattened());
     let near = near_bodies(&bodies.iter().map(bounds).collect::<Vec<_>>(), depth);
     let swept = each_near(bodies, &near, |body| Some(Swept::new(&motion, &triangles[body])));
-    let (mut hits, mut apart) = (Vec::new(), Vec::new());
+    let (mut hits, mut apart, mut least) = (Vec::new(), Vec::new(), 0.0);
     for (number, other_number, depth) in near {
         let (Some(body), Some(other)) = (&swept[number], &swept[other_number]) else {
             continue;
@@ -373,12 +373,13 @@ pub fn contact_hits(
         let found = motion.hits(body, other, 1.0);
         if found.is_empty() {
             apart.push((number, other_number));
+            least = f64::max(least, depth);
         }
         hits.extend(found);
     }
     if !apart.is_empty() {
-        let depth = |one, other| apart.contains(&(one, other)).then(|| depth(one, other))?;
-        hits.extend(motion.deeper(triangles, bodies, &depth, [1.0, GROWTH]));
+        let reach = |one, other| apart.contains(&(one, other)).then_some(least);
+        hits.extend(motion.deeper(triangles, bodies, &reach, [least, OVERLAP_GROWTH]));
     }
     hits.sort_by_cached_key(ContactPair::key);
     hits
@@ -471,27 +472,30 @@ impl Motion<'_> {
         let found = relative.hits(&body, &body, LATER);
         let whole = 0..body.faces.len();
         match found.is_empty() {
-            true => relative.deeper(body.faces, std::slice::from_ref(&whole), &|_, _| Some(self.depth), [LATER, 0.0]),
+            true => relative.deeper(
+                body.faces,
+                std::slice::from_ref(&whole),
+                &|_, _| Some(self.depth),
+                [LATER * self.depth, 0.0],
+            ),
             false => found,
         }
     }
 
-    /// The pairs that overlap more at the end than at the start, by more than `later` times the depth and a part of the overlap. `depth`: the same for
-    /// all bodies that it has.
+    /// The pairs that overlap more at the end than at the start, by more than `least` (m) and a part of the overlap. Other arguments as of
+    /// [`contact_pairs`].
     fn deeper(
         &self,
         triangles: &[[u32; 3]],
         bodies: &[Range<usize>],
-        depth: Reach,
-        [later, part]: [f64; 2],
+        reach: Reach,
+        [least, part]: [f64; 2],
     ) -> Vec<ContactPair> {
-        let least = (0..bodies.len()).flat_map(|one| (one..bodies.len()).filter_map(move |other| depth(one, other)));
-        let least = later * least.fold(0.0, f64::max);
-        let pairs = contact_pairs(self.ends, triangles, bodies, depth).into_iter();
+        let pairs = contact_pairs(self.ends, triangles, bodies, reach).into_iter();
         let deeper = pairs.filter_map(|pair| {
             let before = self.gap(&pair, self.positions);
             let overlap = before.min(0.0);
-            (pair.gap < overlap + part * overlap - least).then_some(ContactPair { gap: before, ..pair })
+            (pair.gap < (1.0 + part) * overlap - least).then_some(ContactPair { gap: before, ..pair })
         });
         deeper.collect()
     }

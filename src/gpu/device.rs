@@ -263,6 +263,7 @@ pub struct Shared {
 /// An open device of a driver.
 #[derive(Debug)]
 pub(super) struct Open {
+    adapter: wgpu::Adapter,
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) limits: wgpu::Limits,
@@ -337,7 +338,7 @@ fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
             let name = name.to_lowercase();
             adapters.iter().find(|adapter| adapter.get_info().name.to_lowercase().contains(&name))
         }
-        AdapterChoice::Open(gpu) => adapters.iter().find(|adapter| adapter.get_info().name == gpu.report.name),
+        AdapterChoice::Open(gpu) => gpu.open().map(|open| &open.adapter),
     };
     chosen.cloned().ok_or_else(|| {
         if adapters.is_empty() {
@@ -366,9 +367,6 @@ impl Gpu {
 
     /// The adapter of a choice, without opening a device.
     pub fn find(choice: &AdapterChoice) -> Result<AdapterReport, Error> {
-        if let AdapterChoice::Open(gpu) = choice {
-            return Ok(gpu.report.clone());
-        }
         choose(choice).map(|adapter| AdapterReport::new(&adapter))
     }
 
@@ -406,7 +404,7 @@ impl Gpu {
                 keep_first(&sink, format!("the device was lost: {message}"));
             }
         });
-        let open = Open { device, queue, limits, faults, kernels: Mutex::default(), closing: Arc::default() };
+        let open = Open { adapter, device, queue, limits, faults, kernels: Mutex::default(), closing: Arc::default() };
         Ok(Gpu::with(Some(open.into()), report))
     }
 
