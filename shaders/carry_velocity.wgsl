@@ -1,7 +1,7 @@
 // advect_velocity by MacCormack's method, first: a(x) = u(x - dt u), semi-Lagrangian (see face_departure), and the departure points.
 // One thread per quad of the band and its 12 minus faces.
 // level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). flags: see active.
-// carried_velocity: a, m/s. departures: see departure_words, 0 for faces at rest.
+// carried_velocity: a, m/s. departures: see departure_words, 0 for faces at rest; lowest points around the departure points plus NUDGE.
 #import advect_quad
 #import departure_words
 #import dispatch
@@ -21,6 +21,9 @@
 @group(0) @binding(7) var<storage, read_write> carried_velocity: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> departures: array<vec4<u32>>;
 
+// Cells. Departure points are often on the border between two sets of taps, where a rounding must not choose.
+const NUDGE = 0.0009765625;
+
 // See falling.
 var<private> falls: u32;
 
@@ -32,9 +35,9 @@ fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: 
         let l = firstTrailingBit(moves);
         moves &= moves - 1u;
         let at = face_at(axis, cell, l);
-        let corner = faces_around(axis, departure(at, vec3<f32>(u[l], v[l], w[l])));
-        result[l] = sample_corner(axis, corner);
-        words[l] = corner.low | select(0u, FALLS, (falls >> (4u * axis + l) & 1u) != 0u);
+        let origin = departure(at, vec3<f32>(u[l], v[l], w[l]));
+        result[l] = sample_corner(axis, faces_around(axis, origin));
+        words[l] = faces_around(axis, origin + NUDGE).low | select(0u, FALLS, (falls >> (4u * axis + l) & 1u) != 0u);
     }
     let here = axis * level.quads + quad;
     carried_velocity[here] = result;

@@ -1,7 +1,7 @@
 // advect_velocity by MacCormack's method (Selle et al. 2008), after carry_velocity: u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
-// where this is within the range of the taps of a(x), else a(x). With cut cells u are the blended velocities.
+// where this is within the range of the taps of a(x), else limited. With cut cells u are the blended velocities.
 // One thread per quad of the band and its 12 minus faces. a is 0 outside the band.
-// level, step. band_args, band_list, band_flags: the band. velocity: faces, m/s (velocity_quads: the same).
+// level, step, level_step. band_args, band_list, band_flags: the band. velocity: faces, m/s (velocity_quads: the same).
 // carried_velocity: a, m/s. velocity_next: departure points as words of carry_velocity in, u* out, m/s.
 #import advect_quad
 #import corner
@@ -10,6 +10,7 @@
 #import fall
 #import lanes
 #import layout
+#import level_step
 #import step
 #import trace
 
@@ -22,6 +23,12 @@
 @group(0) @binding(6) var<storage, read> velocity_quads: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> carried_velocity: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
+@group(0) @binding(9) var<uniform> level_step: LevelStep;
+
+// Overshoot of a relaxed limit beyond the taps, over their range.
+const OVERSHOOT = 0.5;
+// Courant number up to which limits are relaxed entirely; from twice that they are not.
+const RELAXED = 1.5;
 
 // a of faces of an axis by their index within its section, m/s.
 fn carried(section: u32, face: u32) -> f32 {
@@ -60,7 +67,12 @@ fn corrected(axis: u32, face: u32, word: u32, at: vec3<f32>, here: vec3<f32>) ->
     let first_order = carried_velocity[face];
     let result = first_order + 0.5 * (velocity[face] - sample_carried(section, faces_around(axis, end)));
     let range = range_at(section, corner_of(word & LOWEST_POINT, face_tops(axis)));
-    return select(first_order, result, range.x <= result && result <= range.y);
+    if range.x <= result && result <= range.y {
+        return result;
+    }
+    let relaxation = clamp(2.0 - level_step.courant / RELAXED, 0.0, 1.0);
+    let beyond = relaxation * OVERSHOOT * (range.y - range.x);
+    return mix(first_order, clamp(result, range.x - beyond, range.y + beyond), relaxation);
 }
 
 fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) {

@@ -21,6 +21,8 @@
 const DEAD_BAND = 0.005;
 // Least area, cells.
 const LEAST_AREA = 1e-6;
+// Largest shift inwards over that outwards.
+const INWARDS = 0.25;
 
 // Shift of a component, cells.
 fn shift_of(label: u32) -> f32 {
@@ -33,7 +35,7 @@ fn shift_of(label: u32) -> f32 {
     let lacks = goal - volume_of(volume);
     let moved = sign(lacks) * max(abs(lacks) - DEAD_BAND * abs(goal), 0.0);
     let largest = largest_shift(level_step.courant);
-    return clamp(moved * min(step.dt / step.control_time, 1.0) / area, -largest, largest);
+    return clamp(moved * min(step.dt / step.control_time, 1.0) / area, -INWARDS * largest, largest);
 }
 
 @compute @workgroup_size(WG_SIZE)

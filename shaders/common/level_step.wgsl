@@ -15,7 +15,7 @@ struct LevelStep {
     pad_1: u32,
 }
 
-// Largest shift of the level, cells: largest_shift of the twin, reference/volume_shift.rs.
+// Largest shift of the level outwards, cells: largest_shift of the twin, reference/volume_shift.rs.
 fn largest_shift(courant: f32) -> f32 {
-    return 0.04 * max(courant * courant / 9.0, 1.0);
+    return 0.16 * max(courant * courant / 9.0, 1.0);
 }

@@ -7,8 +7,12 @@
 //! Or MacCormack's method (Selle et al. 2008), of second order. The second pass returns the advected velocity a to its start:
 //!
 //! ```text
-//! a(x) = u(x - dt u),    u*(x) = a(x) + (u(x) - a(x + dt u)) / 2    within the range of the taps of a(x), else a(x)
+//! a(x) = u(x - dt u),    u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
 //! ```
+//!
+//! A u* beyond the range of the taps of a(x) is limited: clamped to the range, widened on each side by r/2 of it, and blended with the
+//! part 1 - r of a(x). The relaxation r is 1 in sub-steps with a [Courant number](super::TimeStep::courant) of up to 1.5, and 0 from 3,
+//! where relaxed limits lose liquid. With r = 0 maxima of the speed shrink: a jet of four cells that a plate turns loses 10 % of its momentum.
 //!
 //! Extrapolated velocities are included: without them a wave of 20 cells loses four times as much. Small-aperture faces have
 //! the first order.
@@ -19,6 +23,14 @@ use rayon::prelude::*;
 use super::ballistic::Ballistic;
 use super::slivers::{shown_to_whole, wholeness};
 use crate::grid::{Axis, Grid};
+
+/// Overshoot of a relaxed limit beyond the taps, over their range.
+const OVERSHOOT: f64 = 0.5;
+/// Courant number up to which limits are relaxed entirely; from twice that they are not.
+const RELAXED: f64 = 1.5;
+/// Shift of the departure points that selects the taps, cells. Departure points are often on the border between two sets of taps, where a
+/// rounding must not choose. It exceeds the roundings of f32 on grids of up to 2,000 cells.
+const NUDGE: f64 = 1.0 / 1024.0;
 
 /// The face velocities (m/s) advected by themselves for dt (s). What is at rest stays, ballistic or not. `open`: face
 /// apertures.
@@ -39,14 +51,15 @@ pub fn advect_velocity(
     })
 }
 
-/// The same by MacCormack's method.
+/// The same by MacCormack's method, in a sub-step with the [Courant number](super::TimeStep::courant) of the surface.
 pub fn advect_velocity_maccormack(
     grid: &Grid,
     open: &[Vec<f64>; 3],
     faces: &[Vec<f64>; 3],
     ballistic: &Ballistic,
-    dt: f64,
+    [dt, courant]: [f64; 2],
 ) -> [Vec<f64>; 3] {
+    let relaxation = (2.0 - courant / RELAXED).clamp(0.0, 1.0);
     let shown = shown_to_whole(grid, open, faces);
     Axis::ALL.map(|axis| {
         let a = axis.index();
@@ -60,11 +73,16 @@ pub fn advect_velocity_maccormack(
             let x = grid.face_centre(axis, grid.face_at(axis, face));
             let to = grid.traced(&shown, x, dt) + ballistic.shift_about(grid, x);
             let corrected = first[face] + 0.5 * (shown[a][face] - grid.sample(axis, &first, to));
-            let taps = grid.faces_around(axis, from).values(&shown[a]);
+            let taps = grid.faces_around(axis, from + NUDGE * grid.dx).values(&shown[a]);
             let low = taps.into_iter().fold(f64::INFINITY, f64::min);
             let high = taps.into_iter().fold(f64::NEG_INFINITY, f64::max);
-            match low <= corrected && corrected <= high {
-                true => corrected,
+            if low <= corrected && corrected <= high {
+                return corrected;
+            }
+            let beyond = relaxation * OVERSHOOT * (high - low);
+            // Velocities of a broken device may be infinite.
+            match beyond.is_finite() {
+                true => (1.0 - relaxation) * first[face] + relaxation * corrected.clamp(low - beyond, high + beyond),
                 false => first[face],
             }
         };

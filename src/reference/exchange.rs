@@ -173,6 +173,25 @@ pub fn hold_faces(taps: &SourcesAndSinks, open: &[Vec<f64>; 3], running: u32, ve
     }
 }
 
+/// In `advect_velocity` of liquid with a level, first: sets the velocities (m/s) on the faces of running sources to those before half a sub-step of
+/// gravity, `fall` = dt g / 2. Liquid leaves a source at any time of the sub-step, on average at half of it, and `forces` adds the gravity
+/// of all of it. Closed faces are unchanged.
+pub fn rewind_sources(
+    taps: &SourcesAndSinks,
+    open: &[Vec<f64>; 3],
+    running: u32,
+    fall: DVec3,
+    velocity: &mut [Vec<f64>; 3],
+) {
+    hold_faces(taps, open, running, velocity);
+    for face in &taps.faces {
+        let a = face.axis.index();
+        if face.prescribed(running).is_some() && open[a][face.face] > 0.0 {
+            velocity[a][face.face] -= fall[a];
+        }
+    }
+}
+
 /// In `write_back`: sets the same velocities again, since the projection excludes these faces, and flags them as
 /// valid.
 pub fn carry_faces(

@@ -76,7 +76,8 @@ pub use diagnose::{diagnose, diagnose_liquid, divergence, larger, liquid_volume,
 pub use diagnose_solid::diagnose_solid;
 pub use excess::{add_excess, excess};
 pub use exchange::{
-    Passed, Seeded, carry_faces, emit_markers, empty_sinks, exchanged_volume, hold_faces, seed_markers, sink_markers,
+    Passed, Seeded, carry_faces, emit_markers, empty_sinks, exchanged_volume, hold_faces, rewind_sources, seed_markers,
+    sink_markers,
 };
 pub use extrapolate::{MovingWalls, extrapolate, extrapolate_one_sided, extrapolate_with_slope, n_layers};
 pub use filter_level::filter_level;

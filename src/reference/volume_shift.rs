@@ -1,7 +1,8 @@
 //! `volume_shift`: moves the level of each liquid component towards its target volume.
 //!
 //! ```text
-//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, +-0.04 max(1, C^2 / 9)),   A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
+//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, -h / 4, h),   h = 0.16 max(1, C^2 / 9),
+//! A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
 //! phi -= h_k
 //! ```
 //!
@@ -16,14 +17,16 @@ use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
 pub(super) const DEAD_BAND: f64 = 0.005;
-/// Largest shift in a sub-step, cells. Twice that erases films thinner than a cell.
-const LARGEST: f64 = 0.04;
+/// Largest shift outwards in a sub-step, cells.
+const LARGEST: f64 = 0.16;
+/// Largest shift inwards over that outwards. Twice that erases films thinner than a cell.
+const INWARDS: f64 = 0.25;
 /// Least A_k, cells: a smaller surface is rounding.
 const LEAST_AREA: f64 = 1e-6;
 /// Courant number above which the largest shift grows with its square.
 const LONG: f64 = 3.0;
 
-/// Largest shift in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
+/// Largest shift outwards in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
 pub fn largest_shift(courant: f64) -> f64 {
     LARGEST * (courant / LONG).powi(2).max(1.0)
 }
@@ -50,7 +53,7 @@ pub fn volume_shift(
         let lacks = lacks.signum() * (lacks.abs() - dead).max(0.0);
         match components.enclosed[k] || area[k] <= LEAST_AREA * grid.cell_volume() {
             true => 0.0,
-            false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-largest, largest),
+            false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-INWARDS * largest, largest),
         }
     };
     let shifts: Vec<f64> = (0..volume_0.len()).map(shift).collect();

@@ -3,18 +3,19 @@
 //! liquid the departure point is g dt^2 / 2 further up.
 
 use crate::Error;
-use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};
+use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers, Sources};
 use crate::gpu::{Binding, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage: `velocity` to `velocity_next` on the band. Afterwards `velocity` contains blended velocities on
-/// small-aperture faces.
+/// small-aperture faces and, with a level, rewound ones on those of `sources`.
 pub fn advect_velocity(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
     solver: &SolverBuffers,
     level: Option<&LevelBuffers>,
+    sources: Option<&Sources>,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::AdvectVelocity.name());
     let effects = liquid.plan.effects;
@@ -26,6 +27,10 @@ pub fn advect_velocity(
     let mut list = Vec::new();
     match level.filter(|_| effects.maccormack) {
         Some(level) => {
+            if let Some(sources) = sources {
+                let kernel = Kernel::new(gpu, &wgsl!("rewind_sources"), Real::F32)?;
+                list.push(kernel.bind(gpu, &[], &[sources, liquid])?.threads(sources.n_faces));
+            }
             if let Some(slivers) = &level.sliver_velocity {
                 let to_slivers = [("velocity_next", slivers.into())];
                 list.push(over_band(wgsl!("advect_slivers"), &to_slivers)?);

@@ -89,7 +89,7 @@ pub fn liquid_stages(
     let mut stages = vec![
         advect_markers(gpu, liquid, solver, level)?,
         band(gpu, liquid, level)?,
-        advect_velocity(gpu, liquid, solver, level)?,
+        advect_velocity(gpu, liquid, solver, level, taps.sources)?,
         forces(gpu, liquid)?,
         liquid_distance(gpu, liquid, level, taps.sinks)?,
         right_hand_side(gpu, liquid, level, solver)?,

@@ -24,8 +24,9 @@ const END: f64 = 0.5;
 pub(crate) const SMALL_OVERLAP: f64 = 5e-4;
 /// Overlap that none exceeds, m: a quarter of an element.
 pub(crate) const QUARTER: f64 = 0.0125;
-/// Speed that no node exceeds, m/s. What falls at most 0.5 m reaches 6 m/s; soft bodies throw nodes off at more.
-pub(crate) const FASTEST: f64 = 12.0;
+/// Energy of a drop that none exceeds, over that after the first sub-step. Positions near another body are half a sub-step behind the
+/// velocities, which is up to 5 % of it while they fall.
+pub(crate) const MOST_ENERGY: f64 = 1.05;
 /// Bodies at this distance have met, m.
 const NEAR: f64 = 1e-3;
 /// Way between measurements of the overlap, m: a fifth of an element.
@@ -62,8 +63,10 @@ pub(crate) struct Drop {
     pub(crate) crushed: bool,
     /// Largest depth of a point of one surface in the other body, m.
     pub(crate) overlap: f64,
-    /// m/s
+    /// Of a node, m/s.
     pub(crate) fastest: f64,
+    /// Largest energy over that after the first sub-step.
+    pub(crate) energy: f64,
     pub(crate) sub_steps: u32,
     /// Sub-steps with unsettled contacts.
     pub(crate) unsettled: u32,
@@ -142,13 +145,26 @@ fn drop(folder: &Path, number: u64) -> Drop {
     let scene = scene(folder, number);
     let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
     let solids = simulation.solids().clone();
-    let mut drop = Drop { number, met: false, crushed: false, overlap: 0.0, fastest: 0.0, sub_steps: 0, unsettled: 0 };
+    let mut drop = Drop {
+        number,
+        met: false,
+        crushed: false,
+        overlap: 0.0,
+        fastest: 0.0,
+        energy: 1.0,
+        sub_steps: 0,
+        unsettled: 0,
+    };
+    let mut first_energy = None;
     let mut before = solids.moved(&simulation.state().unwrap().displacement).nodes;
     assert!(distance(&solids, &before) > 0.0, "{drop:?} starts apart");
     while !drop.crushed && simulation.clock().time < END - 1e-9 {
-        let contact = simulation.step().unwrap().solid.unwrap().contact;
+        let report = simulation.step().unwrap().solid.unwrap();
         drop.sub_steps += 1;
-        drop.unsettled += u32::from(contact.unsettled > 0);
+        drop.unsettled += u32::from(report.contact.unsettled > 0);
+        let solid = report.diagnosis;
+        let energy = solid.kinetic_energy + solid.elastic_energy + solid.potential_energy;
+        drop.energy = f64::max(drop.energy, energy / *first_energy.get_or_insert(energy));
         let state = simulation.state().unwrap();
         let x = solids.moved(&state.displacement).nodes;
         let volume = |corners: &[u32; 4]| {
@@ -197,7 +213,7 @@ fn nothing_passes() {
     let met = drops.iter().filter(|drop| drop.met).count();
     println!("{met} met, {} whole, {deep} of them deeper than {SMALL_OVERLAP} m, at most {deepest} m", whole.len());
     for drop in &drops {
-        assert!(drop.fastest <= FASTEST, "{drop:?}");
+        assert!(drop.energy <= MOST_ENERGY, "{drop:?}");
         assert!(drop.crushed || drop.overlap <= QUARTER, "{drop:?}");
     }
     // Nine of ten.

@@ -103,7 +103,7 @@ fn maccormack_is_exact_for_linear_velocities_that_stay() {
     let mut carrier = u.clone();
     carrier[0].fill(0.5);
     let open = Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]);
-    let after = advect_velocity_maccormack(&grid, &open, &carrier, &Ballistic::NONE, 0.3);
+    let after = advect_velocity_maccormack(&grid, &open, &carrier, &Ballistic::NONE, [0.3, 1.0]);
     for cell in inner(&grid, 3) {
         let ijk = grid.cell_at(cell);
         let face = grid.face(Axis::Z, ijk);

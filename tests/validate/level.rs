@@ -10,7 +10,12 @@ use crate::page::{Line, Mark};
 use crate::sheet::Sheet;
 
 pub(crate) fn cases() -> Vec<Case> {
-    vec![Case::new("F13/waves", waves), Case::new("F13/rest", rest), Case::new("F13/falling", falling)]
+    vec![
+        Case::new("F13/waves", waves),
+        Case::new("F13/rest", rest),
+        Case::new("F13/falling", falling),
+        Case::new("F13/jets", jets),
+    ]
 }
 
 /// Height of the surface in each column of cells, m; of columns with a surface.
@@ -226,4 +231,71 @@ fn falling(sheet: &mut Sheet) {
         let what = format!("{name}, falling 40 cells: largest difference of its volume");
         sheet.at_most(&what, worst, allowed);
     }
+}
+
+/// A jet that a plate turns pushes it with rho A v^2, and one that gravity turns rises by v^2 / 2g.
+fn jets(sheet: &mut Sheet) {
+    for frames in [24, 48, 96] {
+        let push = push_on_plate(frames);
+        sheet.relative(
+            &format!("jet of 4 cells on a plate, {frames} frames/s: force, N"),
+            1000.0 * 4.0 / 36.0,
+            push,
+            0.08,
+        );
+    }
+    for frames in [24, 96] {
+        let rise = rise_of_jet(frames);
+        sheet.relative(&format!("jet of 4 cells, {frames} frames/s: rise, m"), 9.0 / (2.0 * GRAVITY), rise, 0.02);
+    }
+}
+
+/// Mean force of a jet on a plate from 0.5 to 1 s, N.
+fn push_on_plate(frames: u32) -> f64 {
+    let text = format!(
+        "[domain]\nsize = [1, 1, 1]\ncells = [24, 24, 24]\ngravity = [0, 0, 0]\nopen = [\"+x\", \"-y\", \"+y\", \"-z\", \"+z\"]\n\
+         [time]\nduration = 1\nframes_per_second = {frames}\n[liquid]\nsurface = \"level\"\n\
+         [[source]]\nbox = {{ min = [0, 0.4166666, 0.4166666], max = [0.0833333, 0.5833334, 0.5833334] }}\nvelocity = [2, 0, 0]\n\
+         [[solid]]\nname = \"plate\"\nmesh = {{ box = {{ size = [0.0833333, 0.75, 0.75], cells = [1, 9, 9] }} }}\n\
+         placement = {{ translate = [0.625, 0.5, 0.5] }}\ndensity = 2000\nyoung = 1e8\npoisson = 0.3\n\
+         [[solid.pin]]\nregion = {{ box = {{ min = [0.6, 0, 0], max = [1, 1, 1] }} }}\n\
+         [[probe]]\nname = \"f\"\nforce = {{ solid = \"plate\" }}\n"
+    );
+    let mut simulation = simulation(&written(&text), &gpu());
+    let mut impulse = 0.0;
+    while simulation.clock().time < 1.0 - 1e-9 {
+        let dt = step(&mut simulation).dt;
+        if simulation.clock().time > 0.5 + 1e-9 {
+            let probes = simulation.probes().unwrap_or_else(|error| panic!("{error}"));
+            impulse += dt * probes[0];
+        }
+    }
+    impulse / 0.5
+}
+
+/// Largest height of the middle of an upward jet above its nozzle, m. Gravity leans, so that it does not fall back on itself.
+fn rise_of_jet(frames: u32) -> f64 {
+    let text = format!(
+        "[domain]\nsize = [1, 0.75, 0.25]\ncells = [64, 48, 16]\ngravity = [4, -{GRAVITY}, 0]\nopen = [\"+x\", \"-y\", \"-z\", \"+z\"]\n\
+         [time]\nduration = 0.75\nframes_per_second = {frames}\n[liquid]\nsurface = \"level\"\n\
+         [[source]]\nbox = {{ min = [0.125, 0.0625, 0.09375], max = [0.1875, 0.125, 0.15625] }}\nvelocity = [0, 3, 0]\n"
+    );
+    let scene = written(&text);
+    let grid = scene.grid();
+    let mut simulation = simulation(&scene, &gpu());
+    while simulation.clock().time < 0.75 - 1e-9 {
+        step(&mut simulation);
+    }
+    let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+    let mut columns = vec![[0.0; 2]; grid.cells[0]];
+    for (cell, &phi) in state.liquid_distance.iter().enumerate() {
+        let at = grid.cell_at(cell);
+        let liquid = (0.5 - phi / grid.dx).clamp(0.0, 1.0);
+        let [sum, moment] = &mut columns[at[0]];
+        *sum += liquid;
+        *moment += liquid * grid.cell_centre(at).y;
+    }
+    // From two cells beside the nozzle.
+    let middles = columns[14..].iter().filter(|[sum, _]| *sum > 0.0).map(|[sum, moment]| moment / sum);
+    middles.fold(0.0, f64::max) - 0.125
 }

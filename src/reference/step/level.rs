@@ -214,7 +214,7 @@ impl SubStep<'_> {
         };
         let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
         let old =
-            Before { label: &before.component, velocity: &before.velocity, ballistic: self.ballistic(&filled_before) };
+            Before { label: &before.component, velocity: &self.carrier(), ballistic: self.ballistic(&filled_before) };
         let mut origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
         hold_source_origins(grid, &model.taps, self.sources, &before.component, &mut origins);
         let volume_0 = &self.results.level.volume_before;
@@ -276,7 +276,7 @@ impl SubStep<'_> {
             levels,
             &level.excess,
             [self.sources.seed, self.sources.step],
-            &self.before.velocity,
+            &self.carrier(),
             &mut markers,
         );
         self.after.put_markers(markers);

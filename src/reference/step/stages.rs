@@ -1,16 +1,18 @@
 //! The stages of a sub-step but for the solve, each named as in the schedule.
 
+use std::borrow::Cow;
+
 use super::SubStep;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::reference::{
     ActiveCells, Ballistic, CavityMotion, Contacts, MovingWalls, Passed, PatchForces, PressureSystem, RightHandSide,
-    SolidSystem, Surface, VolumeSource, active_cells, advect_markers, advect_velocity, advect_velocity_maccormack,
-    ballistic_bodies, ballistic_cells, carry_faces, diagnose_liquid, diagnose_solid, divergence, empty_sinks,
-    exchanged_volume, extrapolate_one_sided, fill_cavities, forces, hold_faces, hold_near_others, liquid_distance,
-    liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure, pressure_gradient, right_hand_side,
-    seed_markers, sink_markers, solid_matrices, solid_right_hand_side, surface_distance, volume_rate, wet_nodes,
-    write_back,
+    SolidSystem, Surface, TimeStep, VolumeSource, active_cells, advect_markers, advect_velocity,
+    advect_velocity_maccormack, ballistic_bodies, ballistic_cells, carry_faces, diagnose_liquid, diagnose_solid,
+    divergence, empty_sinks, exchanged_volume, extrapolate_one_sided, fill_cavities, forces, hold_faces,
+    hold_near_others, liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure,
+    pressure_gradient, rewind_sources, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -132,14 +134,26 @@ impl SubStep<'_> {
 
     pub(super) fn advect_velocity(&mut self) {
         let open = &self.boundary.cut_cells().open;
-        let velocity = &self.before.velocity;
-        let (filled, dt) = (self.before.filled(), self.time_step.dt);
+        let velocity = &*self.carrier();
+        let (filled, grid) = (self.before.filled(), &self.model.grid);
         let ballistic = self.ballistic(&filled);
-        let advect = match self.model.effects.maccormack {
-            true => advect_velocity_maccormack,
-            false => advect_velocity,
+        let TimeStep { dt, courant, .. } = self.time_step;
+        self.after.velocity = if self.model.effects.maccormack {
+            advect_velocity_maccormack(grid, open, velocity, &ballistic, [dt, courant])
+        } else {
+            advect_velocity(grid, open, velocity, &ballistic, dt)
         };
-        self.after.velocity = advect(&self.model.grid, open, velocity, &ballistic, dt);
+    }
+
+    /// Face velocities from `advect_velocity` to `write_back`, m/s: with a level, sources are [rewound](rewind_sources).
+    pub(super) fn carrier(&self) -> Cow<'_, [Vec<f64>; 3]> {
+        let (model, running) = (self.model, self.sources.running);
+        let mut carrier = Cow::Borrowed(&self.before.velocity);
+        if model.effects.maccormack && model.effects.sources {
+            let fall = 0.5 * self.time_step.dt * model.scene.domain.gravity;
+            rewind_sources(&model.taps, &self.boundary.cut_cells().open, running, fall, carrier.to_mut());
+        }
+        carrier
     }
 
     /// Liquid that touched nothing in the last solve.

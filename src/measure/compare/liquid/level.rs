@@ -198,13 +198,18 @@ impl LiquidComparison<'_> {
     }
 
     /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
-    pub(super) fn maccormack(&mut self, after: &LiquidSnapshot, (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3])) {
+    pub(super) fn maccormack(
+        &mut self,
+        after: &LiquidSnapshot,
+        (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3]),
+        velocity: &[Vec<f64>; 3],
+    ) {
         let (grid, dt) = (self.grid, self.dt());
         let ballistic = self.ballistic();
-        let velocity = &self.before.velocity;
         let carried = reference::advect_velocity(&grid, open, velocity, &ballistic, dt);
         let bound = maccormack_error(&grid, open, velocity, &carried, dt);
-        let advect = |velocity: &_, near: &_| reference::advect_velocity_maccormack(&grid, open, velocity, near, dt);
+        let times = [dt, self.courant];
+        let advect = |velocity: &_, near: &_| reference::advect_velocity_maccormack(&grid, open, velocity, near, times);
         let mut others: Vec<[Vec<f64>; 3]> =
             (0..PATTERNS).map(|pattern| advect(&moved_faces(velocity, bound, pattern), &ballistic)).collect();
         others.extend(self.near_ballistic().map(|near| advect(velocity, &near)));

@@ -346,16 +346,27 @@ impl<'a> LiquidComparison<'a> {
 
     /// Bound: [`advection_error`].
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
-        let (velocity, dt) = (&self.before.velocity, self.dt());
+        let dt = self.dt();
+        let mut velocity = self.before.velocity.clone();
+        let maccormack = Effects::of(self.scene).maccormack;
+        if maccormack {
+            let fall = 0.5 * dt * self.gravity();
+            reference::rewind_sources(&self.taps, &self.cut.open, self.running.running, fall, &mut velocity);
+        }
+        let velocity = &velocity;
         let open = &open_to_advection(&self.cut.open, |axis, face| after.face_band[axis.index()][face]);
         let bound = advection_error(&self.grid, open, velocity, dt);
         let ballistic = self.ballistic();
-        let maccormack = Effects::of(self.scene).maccormack;
-        let advect = if maccormack { reference::advect_velocity_maccormack } else { reference::advect_velocity };
-        let advected = |of: &Ballistic| advect(&self.grid, open, velocity, of, dt);
+        let advected = |of: &Ballistic| {
+            if maccormack {
+                reference::advect_velocity_maccormack(&self.grid, open, velocity, of, [dt, self.courant])
+            } else {
+                reference::advect_velocity(&self.grid, open, velocity, of, dt)
+            }
+        };
         let twin = advected(&ballistic);
         if maccormack {
-            self.maccormack(after, (&twin, open));
+            self.maccormack(after, (&twin, open), velocity);
             return;
         }
         let others: Vec<_> = self.near_ballistic().map(|other| advected(&other)).collect();
