@@ -3,8 +3,7 @@
 use crate::Error;
 use crate::fields::pressure_system::TAIL_LEVELS;
 use crate::fields::{LevelPlan, SolverBuffers};
-use crate::gpu::bind;
-use crate::gpu::{Bound, Buffer, Gpu, Pass};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, Source, bind};
 use crate::wgsl;
 
 use super::{Level, OMEGA, Sweep, TAIL_STEPS};
@@ -78,8 +77,7 @@ impl LevelPlan {
             shape: self.levels[level].layout_at(self.first[level], self.total),
             coefficient: (1u32 << level) as f32,
             args: 4 * level as u32,
-            pad_0: 0,
-            pad_1: 0,
+            ..bytemuck::Zeroable::zeroed()
         }
     }
 }
@@ -106,27 +104,26 @@ impl Hierarchy {
             gpu.uniform("solver.sweep", &Sweep { omega, ends_cycle: ends_cycle.into(), pad_0: 0, pad_1: 0 })
         };
         let sweeps = [sweep(OMEGA[0], false)?, sweep(OMEGA[1], false)?, sweep(OMEGA[0], true)?];
-        let smooth_level = |level: usize, sweep: &Buffer<Sweep>, to_next: bool| {
+        let bound = |source: Source, level: usize, sweep: &Buffer<Sweep>, to_next: bool| {
             let (x, x_out) = if to_next { (z, z_next) } else { (z_next, z) };
-            let own =
-                [("level", (&levels[level]).into()), ("sweep", sweep.into()), ("x", x.into()), ("x_out", x_out.into())];
-            bind(gpu, &wgsl!("vcycle_smooth"), inner, own, &[buffers])
+            let own = [
+                ("level", (&levels[level]).into()),
+                ("coarse", (&levels[level + 1]).into()),
+                ("sweep", sweep.into()),
+                ("x", x.into()),
+                ("x_out", x_out.into()),
+            ];
+            bind(gpu, &source, inner, own, &[buffers])
         };
         let mut down = Vec::new();
         let mut up = Vec::new();
         for level in 0..plan.tail {
-            let own = [
-                ("level", (&levels[level]).into()),
-                ("coarse", (&levels[level + 1]).into()),
-                ("sweep", (&sweeps[0]).into()),
-                ("x", z_next.into()),
-                ("x_out", z.into()),
-            ];
-            let restrict = bind(gpu, &wgsl!("vcycle_restrict"), inner, own, &[buffers])?;
-            let prolong = bind(gpu, &wgsl!("vcycle_prolong"), inner, own, &[buffers])?;
-            down.push([smooth_level(level, &sweeps[1], true)?, restrict]);
+            let smooth = |sweep, to_next| bound(wgsl!("vcycle_smooth"), level, sweep, to_next);
+            let restrict = bound(wgsl!("vcycle_restrict"), level, &sweeps[0], false)?;
+            let prolong = bound(wgsl!("vcycle_prolong"), level, &sweeps[0], false)?;
+            down.push([smooth(&sweeps[1], true)?, restrict]);
             let last = if level == 0 { &sweeps[2] } else { &sweeps[0] };
-            up.push([prolong, smooth_level(level, &sweeps[1], false)?, smooth_level(level, last, true)?]);
+            up.push([prolong, smooth(&sweeps[1], false)?, smooth(last, true)?]);
         }
         let mut tail: Tail = bytemuck::Zeroable::zeroed();
         for level in plan.tail..plan.len() {
