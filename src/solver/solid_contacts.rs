@@ -3,10 +3,8 @@
 //! The rules, and the active set that they make, stand with the twin, `reference/solid_contacts.rs`.
 
 use crate::Error;
-use crate::fields::SolidBuffers;
-use crate::fields::SolidSystemBuffers;
-use crate::gpu::bind;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
+use crate::fields::{SolidBuffers, SolidSystemBuffers};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer, bind};
 use crate::grid::Layout;
 use crate::step::Stage;
 use crate::wgsl;
@@ -33,9 +31,8 @@ pub(super) struct SolidContacts {
 /// The active-set search from one solve to the next; the method is documented in the twin.
 #[derive(Debug)]
 pub struct ContactSearch {
-    /// Products of the elements with the velocity.
-    products: Bound,
-    judge: Bound,
+    /// Products of the elements with the velocity, for the judgement.
+    judge: [Bound; 2],
     rest: Bound,
     /// The next velocity on trial, with products of its sum with the best one.
     approach: [Bound; 3],
@@ -56,8 +53,7 @@ impl ContactSearch {
         let own = [("rhs", pushes.into()), ("next", (&buffers.z).into()), ("sums", (&buffers.search).into())];
         let bound = |source| bind(gpu, &source, buffers.variant, own, &[buffers, fields]);
         Ok(ContactSearch {
-            products: buffers.bind_products(gpu, fields, &fields.velocity)?,
-            judge: bound(wgsl!("judge_contacts"))?,
+            judge: [buffers.bind_products(gpu, fields, &fields.velocity)?, bound(wgsl!("judge_contacts"))?],
             rest: bound(wgsl!("rest_nodes"))?,
             approach: [
                 bound(wgsl!("approach_nodes"))?,
@@ -73,8 +69,9 @@ impl ContactSearch {
 
     /// Records what is wrong with the velocities in the fields: answers with the nodes beyond and the nodes pulled, and told 1 lets these go.
     pub fn record_judge(&self, pass: &mut Pass) {
-        pass.dispatch(&self.products, self.n_nodes);
-        pass.dispatch(&self.judge, self.n_nodes);
+        for bound in &self.judge {
+            pass.dispatch(bound, self.n_nodes);
+        }
     }
 
     /// Records the velocity that the search starts from, before any other is the best.
@@ -115,14 +112,13 @@ impl SolidContacts {
         let mut touch = Vec::new();
         if !buffers.rows_on_host {
             touch.push(bound(wgsl!("solid_contacts"))?);
-        }
-        if let Some(obstacles) = obstacles.filter(|_| !buffers.rows_on_host) {
-            let own = [("level", obstacles.level.into()), ("distances", obstacles.solid_distance.into())];
-            let tables: [&dyn Arrays; 2] = [buffers, fields];
-            touch.push(bind(gpu_at, &wgsl!("obstacle_contacts"), variant, own, &tables)?);
-        }
-        if fields.plan.n_moving > 0 && !buffers.rows_on_host {
-            touch.push(bound(wgsl!("moving_contacts"))?);
+            if let Some(ObstacleField { level, solid_distance }) = obstacles {
+                let own = [("level", level.into()), ("distances", solid_distance.into())];
+                touch.push(bind(gpu_at, &wgsl!("obstacle_contacts"), variant, own, &[buffers, fields])?);
+            }
+            if fields.plan.n_moving > 0 {
+                touch.push(bound(wgsl!("moving_contacts"))?);
+            }
         }
         Ok(SolidContacts {
             touch,
