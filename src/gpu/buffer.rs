@@ -1,7 +1,7 @@
 //! Typed, labelled device buffers, and read-back.
 
 use std::marker::PhantomData;
-use std::sync::mpsc;
+use std::sync::{Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
 
 use bytemuck::Pod;
@@ -136,11 +136,7 @@ impl Gpu {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn download<T: Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, Error> {
-        let mut readback = Readback::new(self, &buffer.label, buffer.len)?;
-        let mut recorder = Recorder::new(self);
-        recorder.read(buffer, &mut readback);
-        recorder.submit();
-        readback.wait(self)
+        Readback::new(self, &buffer.label, buffer.len)?.fetch(self, buffer)
     }
 }
 
@@ -220,6 +216,11 @@ impl Arrival {
     }
 }
 
+/// Locks, also after a panic of another thread. It leaves nothing half done in read-backs: every use begins with new copies.
+pub(crate) fn lock<T>(readbacks: &Mutex<T>) -> MutexGuard<'_, T> {
+    readbacks.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// A host-visible copy of (the start of) a buffer, filled by [`Recorder::read`] and fetched after the submission.
 #[derive(Debug)]
 pub struct Readback<T> {
@@ -241,6 +242,17 @@ impl<T: Pod> Readback<T> {
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         let Buffer { raw, len, .. } = gpu.make::<T>(BufferPlan::of::<T>(&label, len), usage)?;
         Ok(Readback { raw, len, label, arrival: None, element: PhantomData })
+    }
+
+    /// Waits for all submitted work and returns the first elements of a buffer.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn fetch(&mut self, gpu: &Gpu, from: &Buffer<T>) -> Result<Vec<T>, Error> {
+        let mut recorder = Recorder::new(gpu);
+        recorder.read(from, self);
+        recorder.submit();
+        self.wait(gpu)
     }
 
     /// Asks for the contents as of the work submitted so far; the host goes on meanwhile.

@@ -17,6 +17,7 @@ mod sort;
 mod surroundings;
 mod traffic;
 
+pub(crate) use buffer::lock;
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
 pub use device::{AdapterChoice, AdapterReport, Gpu, NeededLimit};

@@ -1,12 +1,12 @@
 //! Contact of solids with each other on a device: the host's share, which is the rows and what comes near what.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::Error;
 use crate::elastic::Solids;
 use crate::fields::SolidBuffers;
 use crate::geometry::{ContactField, ObstacleCut};
-use crate::gpu::{Gpu, Readback, Recorder};
+use crate::gpu::{Gpu, Readback, Recorder, lock};
 use crate::grid::Grid;
 use crate::reference::{ActiveSurfaces, Contacts, Touching, hold_near_others};
 
@@ -57,7 +57,7 @@ impl GpuContacts {
             return Ok(());
         };
         let mut recorder = Recorder::new(gpu);
-        let mut displacement = self.displacement.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut displacement = lock(&self.displacement);
         recorder.read(&buffers.displacement, &mut displacement);
         recorder.read(&buffers.velocity.words, &mut self.velocity);
         recorder.submit();
@@ -78,11 +78,7 @@ impl GpuContacts {
 
     /// Displacements of the nodes now, m.
     pub(super) fn displacement(&self, gpu: &Gpu, buffers: &SolidBuffers) -> Result<Vec<[f64; 3]>, Error> {
-        let mut displacement = self.displacement.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut recorder = Recorder::new(gpu);
-        recorder.read(&buffers.displacement, &mut displacement);
-        recorder.submit();
-        Ok(buffers.displacement_of(&displacement.wait(gpu)?))
+        Ok(buffers.displacement_of(&lock(&self.displacement).fetch(gpu, &buffers.displacement)?))
     }
 
     /// What may touch with the displacements (m) of the sub-step; `dx` in m.

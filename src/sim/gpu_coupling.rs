@@ -240,11 +240,11 @@ fn solve_in_rows(
     let mut iterations = 0;
     let limits = RowLimits { meetings: MOST_MEETINGS, sets: MOST_COUPLED };
     let mut solve = |recorder, aim: Option<Aim>| {
-        let (mut outcome, report, mut seconds) = solves.solve(gpu, recorder, aim, (&mut rows, limits))?;
+        let (outcome, report, mut seconds) = solves.solve(gpu, recorder, aim, (&mut rows, limits))?;
         times.append(&mut seconds);
         contact = ContactReport { solves: contact.solves + report.solves, ..report };
-        iterations += outcome.iterations;
-        outcome.iterations = iterations;
+        let outcome = outcome.after(iterations);
+        iterations = outcome.parts[0].iterations;
         Ok::<_, Error>(outcome)
     };
     let outcome = match rounds {
@@ -265,9 +265,12 @@ fn solve_in_rows(
 /// Result of a solve. `separation`: status and report of the rounds, for the liquid.
 fn settled(
     liquid: &mut GpuLiquid,
-    (mut parts, separation): ([Outcome; 2], Option<(SolveStatus, SeparationReport)>),
-    (condensed, contact): (bool, ContactReport),
+    (outcome, closed_components): (CoupledOutcome, u32),
+    separation: Option<(SolveStatus, SeparationReport)>,
+    contact: ContactReport,
 ) -> Solved {
+    let CoupledOutcome { mut parts, condensed } = outcome;
+    parts[0].closed_components = closed_components;
     if let Some((status, report)) = separation {
         parts[0].status = status;
         liquid.n_separated = report.cells;
@@ -588,9 +591,8 @@ impl GpuCoupling {
             let touching = (contacts, solids, displacement);
             let (SolvedInRows { outcome, contact, pushed }, times) =
                 solve_in_rows((gpu, recorder), together, (at, solids.polynomial(dt)), touching, rounds.as_mut())?;
-            let parts = outcome.parts(touch.closed_components);
-            let separation = rounds.map(|rounds| (rounds.status(parts[0].status), rounds.report));
-            let solved = settled(liquid, (parts, separation), (outcome.condensed, contact));
+            let separation = rounds.map(|rounds| (rounds.status(outcome.parts[0].status), rounds.report));
+            let solved = settled(liquid, (outcome, touch.closed_components), separation, contact);
             return Ok((Solved { pushed, ..solved }, times));
         }
         let mut before = None;
@@ -613,29 +615,29 @@ impl GpuCoupling {
         let mut iterations = 0;
         let solve = |recorder, solves| {
             let again = solves > 0;
-            let (mut outcome, times) = match &mut rounds {
+            let (outcome, times) = match &mut rounds {
                 None => together.solve(gpu, recorder, at, &polynomial, again)?,
                 Some(rounds) => {
                     let (form, recorder, mut times) = together.prepare(gpu, recorder, at, &polynomial)?;
                     let mut before = 0;
                     let (outcome, restoring) = rounds.search(recorder, |recorder, round, update| {
                         let guess = round.number > 1;
-                        let with = (round.tolerance, again || guess, guess);
-                        let (mut outcome, mut seconds, updated) =
-                            together.solve_then(gpu, recorder, &form, with, update)?;
+                        let aim = Aim { tolerance: round.tolerance, guess };
+                        let with = (again || guess, None);
+                        let (outcome, mut seconds, updated) =
+                            together.solve_form(gpu, recorder, &form, with, Some(aim), update)?;
                         times.append(&mut seconds);
-                        before += outcome.iterations;
-                        outcome.iterations = before;
+                        let outcome = outcome.after(before);
+                        before = outcome.parts[0].iterations;
                         Ok((outcome, updated))
                     })?;
                     restoring.submit();
                     (outcome, times)
                 }
             };
-            iterations += outcome.iterations;
-            outcome.iterations = iterations;
-            let status = outcome.status;
-            Ok((outcome, status, times))
+            let outcome = outcome.after(iterations);
+            iterations = outcome.parts[0].iterations;
+            Ok((outcome, outcome.parts[0].status, times))
         };
         let n_nodes = solids.buffers.plan.n_nodes;
         let search = Search {
@@ -643,18 +645,18 @@ impl GpuCoupling {
             push: |pass: &mut Pass| together.record_push(pass, n_nodes),
             together: true,
         };
-        let (outcome, mut contact, mut seconds) = solids.iterate_active_set(gpu, recorder, answer, solve, search)?;
+        let (mut outcome, mut contact, mut seconds) =
+            solids.iterate_active_set(gpu, recorder, answer, solve, search)?;
         times.append(&mut seconds);
-        let mut parts = outcome.parts(touch.closed_components);
         if let Some((status, before)) = before {
             contact.solves += before.solves;
             contact.unsettled += before.unsettled;
             if status != SolveStatus::Converged {
-                parts[1].status = status;
+                outcome.parts[1].status = status;
             }
         }
-        let separation = rounds.map(|rounds| (rounds.status(parts[0].status), rounds.report));
-        Ok((settled(liquid, (parts, separation), (outcome.condensed, contact)), times))
+        let separation = rounds.map(|rounds| (rounds.status(outcome.parts[0].status), rounds.report));
+        Ok((settled(liquid, (outcome, touch.closed_components), separation, contact), times))
     }
 
     pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {

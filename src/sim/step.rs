@@ -7,7 +7,7 @@ use crate::effects::Effects;
 use crate::fields::{Report, SolidReport};
 use crate::gpu::{Gpu, Readback, Recorder, StageTimes};
 use crate::reference::{SQUEEZE, TimeStep};
-use crate::solver::Outcome;
+use crate::solver::{Aim, Outcome};
 use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
 use crate::step::{self, Backend, Stage};
 
@@ -431,8 +431,8 @@ impl SubStep<'_, '_> {
         rounds.record_start(&mut recorder);
         let mut iterations = 0;
         let (mut outcome, recorder) = rounds.search(recorder, |recorder, round, update| {
-            let with = (solver, round.tolerance, round.number > 1);
-            let (outcome, mut times, updated) = solve.solve_then(gpu, recorder, with, update)?;
+            let aim = Aim { tolerance: round.tolerance, guess: round.number > 1 };
+            let (outcome, mut times, updated) = solve.solve_then(gpu, recorder, (solver, aim), update)?;
             seconds.append(&mut times);
             iterations += outcome.iterations;
             Ok((outcome, updated))

@@ -89,9 +89,7 @@ impl RefineSettings {
             },
             guess: if guesses { 1.0 } else { 0.0 },
             n_blocks: n_blocks as u32,
-            pad_0: 0,
-            pad_1: 0,
-            pad_2: 0,
+            ..bytemuck::Zeroable::zeroed()
         }
     }
 }

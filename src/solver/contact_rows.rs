@@ -6,16 +6,17 @@
 //! with each correction of the velocities. The two-field form, for more nodes or on request, is solved again until the forces meet the rows
 //! ([`ForceSearch`](crate::linalg::ForceSearch)).
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::plus;
 use super::schur::Inverse;
 use super::stored_stiffness::{Factor, StoredStiffness};
 use crate::Error;
 use crate::fields::{SolidBuffers, SolidSystemBuffers};
-use crate::gpu::{Gpu, Readback, RealBuffer, Recorder, StageTimes};
+use crate::gpu::{Gpu, Readback, RealBuffer, Recorder, StageTimes, lock};
 use crate::linalg::{HeldRows, Row, UnilateralRows};
 use crate::scene::{Precision, Solver};
 use crate::state::ContactReport;
@@ -61,11 +62,9 @@ pub(super) struct NodeReadbacks {
 
 impl NodeReadbacks {
     pub(super) fn new(gpu: &Gpu, solids: &SolidSystemBuffers, fields: &SolidBuffers) -> Result<NodeReadbacks, Error> {
-        let [velocity, rhs] = [&fields.velocity.words, &solids.rhs.words].map(|words| words.len());
-        Ok(NodeReadbacks {
-            velocity: Readback::new(gpu, "contact.velocity", velocity)?,
-            rhs: Readback::new(gpu, "contact.rhs", rhs)?,
-        })
+        let readback = |label, buffer: &RealBuffer| Readback::new(gpu, label, buffer.words.len());
+        let velocity = readback("contact.velocity", &fields.velocity)?;
+        Ok(NodeReadbacks { velocity, rhs: readback("contact.rhs", &solids.rhs)? })
     }
 
     /// Velocities, m/s, and right-hand side, four numbers per node, after the recording.
@@ -86,10 +85,7 @@ impl NodeReadbacks {
 
     /// The velocities alone.
     pub(super) fn read_velocity(&mut self, gpu: &Gpu, fields: &SolidBuffers) -> Result<Vec<f64>, Error> {
-        let mut recorder = Recorder::new(gpu);
-        recorder.read(&fields.velocity.words, &mut self.velocity);
-        recorder.submit();
-        Ok(fields.velocity.widen(&self.velocity.wait(gpu)?))
+        Ok(fields.velocity.widen(&self.velocity.fetch(gpu, &fields.velocity.words)?))
     }
 }
 
@@ -133,9 +129,7 @@ impl DrySystem {
         (progress, last): (&mut Option<DryProgress<'a>>, bool),
         report: &mut ContactReport,
     ) -> Result<bool, Error> {
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut nodes = self.nodes.lock().unwrap_or_else(PoisonError::into_inner);
-        let ([velocity, rhs], _) = nodes.read(gpu, Recorder::new(gpu), solids, fields)?;
+        let ([velocity, rhs], _) = lock(&self.nodes).read(gpu, Recorder::new(gpu), solids, fields)?;
         let known = progress.as_ref().map_or(&[][..], |before| &before.rows);
         let rows = rows_of(&three(&velocity), known)?;
         let Some(rows) = rows.filter(|_| !last) else {
@@ -155,19 +149,18 @@ impl DrySystem {
                 progress.insert(DryProgress { rows: rows.clone(), velocity, rhs, factor })
             }
         };
-        let rows = unilateral(rows, factor.projectors().len(), factor);
+        let rows = unilateral(rows, factor.projectors.len(), factor);
         let found = rows.solve(velocity);
         report.solves += found.pivots;
         report.unsettled = found.wrong;
-        let sums = rhs.iter().zip(rows.forces(&found.z));
-        solids.rhs.upload(gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
+        solids.rhs.upload(gpu, &plus(rhs, 1.0, &rows.forces(&found.z)));
         Ok(true)
     }
 }
 
 /// Rows held as equations in a solve of the Schur-complement form, and their forces so far.
 #[derive(Debug)]
-pub(super) struct HeldSolve<'a> {
+pub(crate) struct HeldSolve<'a> {
     rows: HeldRows<'a>,
     /// Right-hand side without the forces of the rows, N, four numbers per node.
     rhs: Vec<f64>,
@@ -199,23 +192,17 @@ impl<'a> HeldSolve<'a> {
         HeldSolve { rows, rhs: rhs.to_vec(), on_device, progress: Mutex::new([progress.clone(), progress]) }
     }
 
-    fn progress(&self) -> std::sync::MutexGuard<'_, [Progress; 2]> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds to S^-1 f what the rows make of it, and returns their lambda. `unit`: what forces and velocities are multiples of.
     pub(super) fn constrain(&self, forces: &[f64], unit: f64, velocity: &mut [f64]) -> Vec<f64> {
-        let mut lambda = self.rows.cancelling(forces);
-        let lacking = &self.progress()[0].lacking;
-        let sums = lambda.iter_mut().zip(lacking);
-        sums.for_each(|(lambda, lacking)| *lambda += unit * lacking);
+        let lambda = self.rows.cancelling(forces);
+        let lambda = plus(&lambda, unit, &lock(&self.progress)[0].lacking);
         self.rows.add_velocity(&lambda, velocity);
         lambda
     }
 
     /// Adds the forces of a correction and returns the right-hand side.
     pub(super) fn advance(&self, gpu: &Gpu, lambda: &[f64], unit: f64) -> Vec<f64> {
-        let mut progress = self.progress();
+        let mut progress = lock(&self.progress);
         progress[1] = progress[0].clone();
         let now = &mut progress[0];
         now.lacking.fill(0.0);
@@ -226,22 +213,20 @@ impl<'a> HeldSolve<'a> {
 
     /// Takes the forces of a rejected correction back and returns the right-hand side.
     pub(super) fn revert(&self, gpu: &Gpu) -> Vec<f64> {
-        let mut progress = self.progress();
+        let mut progress = lock(&self.progress);
         progress[0] = progress[1].clone();
         self.write(gpu, &progress[0].lambda)
     }
 
     fn write(&self, gpu: &Gpu, lambda: &[f64]) -> Vec<f64> {
-        let forces = self.rows.forces(lambda);
-        let sums = self.rhs.iter().zip(forces);
-        let rhs: Vec<f64> = sums.map(|(rhs, force)| rhs + force).collect();
+        let rhs = plus(&self.rhs, 1.0, &self.rows.forces(lambda));
         self.on_device.upload(gpu, &rhs);
         rhs
     }
 
     /// lambda, N.
     pub(super) fn lambda(&self) -> Vec<f64> {
-        self.progress()[0].lambda.clone()
+        lock(&self.progress)[0].lambda.clone()
     }
 
     /// The wet compliance with the rows as equations.
@@ -265,7 +250,7 @@ impl<'a> HeldSolve<'a> {
 
 /// Velocities of prescribed components alone, four numbers per node.
 pub(super) fn prescribed(factor: &Factor, velocity: &[f64]) -> Vec<f64> {
-    let nodes = factor.projectors().iter().zip(velocity.chunks_exact(4));
+    let nodes = factor.projectors.iter().zip(velocity.chunks_exact(4));
     nodes
         .flat_map(|(free, v)| {
             let v = DVec3::from_slice(v);

@@ -10,16 +10,13 @@
 //! Corrections have one of two forms: [`two_field`](super::two_field), both blocks by conjugate gradients on the device, or
 //! [`schur`](super::schur), pressures alone.
 
-use crate::fields::coupling::{N_LISTS, NODES, PARTIALS, WET};
-use crate::fields::{CouplingBuffers, SolidSystemBuffers, SolverBuffers};
-use crate::gpu::bind;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::Error;
-use crate::fields::SolidBuffers;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Readback, Real, Recorder, StageTimes};
+use crate::fields::coupling::{N_LISTS, NODES, PARTIALS, WET};
+use crate::fields::{CouplingBuffers, SolidBuffers, SolidSystemBuffers, SolverBuffers};
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Readback, Real, Recorder, StageTimes, bind, lock};
 use crate::scene::{Formulation, Solver};
-use crate::state::SolveStatus;
 use crate::wgsl;
 
 use super::chebyshev::Polynomial;
@@ -31,7 +28,7 @@ use super::refine::{Aim, Form, Outcome, OuterLoop, Pace, Shared, System};
 use super::schur::{self, Prepared, Schur, check_formulation};
 use super::solid_contacts::ContactSearch;
 use super::stored_stiffness::StoredStiffness;
-use super::two_field::Monolithic;
+use super::two_field::{Monolithic, Operator};
 
 /// Refinement steps in a submission.
 const STEPS: usize = 2;
@@ -39,51 +36,18 @@ const STEPS: usize = 2;
 /// Result of a coupled solve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoupledOutcome {
-    /// Status.
-    pub status: SolveStatus,
-    /// Iterations of conjugate gradients in all refinement steps.
-    pub iterations: u32,
-    /// Refinement steps.
-    pub refinements: u32,
-    /// Active cells, and free directions of nodes.
-    pub unknowns: [u32; 2],
-    /// |r| over |b| of the rows of the liquid and of those of the solids; 0 for b = 0.
-    pub residuals: [f64; 2],
-    /// |r| over the norm of the terms that b sums, likewise.
-    pub residual_terms: [f64; 2],
-    /// Whether these were evaluated in f64.
-    pub verified: bool,
+    /// Results of the liquid, with active cells, and of the solids, with free directions of nodes. Both have the status and all iterations
+    /// of the solve.
+    pub parts: [Outcome; 2],
     /// Whether corrections had the Schur-complement form.
     pub condensed: bool,
 }
 
 impl CoupledOutcome {
-    fn new(blocks: &[Outcome], condensed: bool) -> CoupledOutcome {
-        let [p, v] = [blocks[0], blocks[1]];
-        CoupledOutcome {
-            status: p.status,
-            iterations: p.iterations,
-            refinements: p.refinements,
-            unknowns: [p.unknowns, v.unknowns],
-            residuals: [p.residual, v.residual],
-            residual_terms: [p.residual_terms, v.residual_terms],
-            verified: p.verified,
-            condensed,
-        }
-    }
-
-    /// Results of liquid, with this number of enclosed components, and of solids. Both have all iterations.
-    pub fn parts(&self, closed_components: u32) -> [Outcome; 2] {
-        [(0, closed_components), (1, 0)].map(|(part, closed_components)| Outcome {
-            status: self.status,
-            iterations: self.iterations,
-            refinements: self.refinements,
-            unknowns: self.unknowns[part],
-            closed_components,
-            residual: self.residuals[part],
-            residual_terms: self.residual_terms[part],
-            verified: self.verified,
-        })
+    /// The same with the iterations of earlier solves.
+    pub(crate) fn after(mut self, iterations: u32) -> CoupledOutcome {
+        self.parts.iter_mut().for_each(|part| part.iterations += iterations);
+        self
     }
 }
 
@@ -178,7 +142,11 @@ pub(super) struct Coupled {
     args: Bound,
     guess: Bound,
     keep: Bound,
-    residual: Residual,
+    /// b - J v in the wet quads.
+    residual_quads: Bound,
+    /// Products of the elements with v; P (rhs - S v); the same with J^T phi.
+    residual_nodes: [Bound; 3],
+    residual_sums: Bound,
     /// Weight of the velocities in the norm of conjugate gradients.
     weight: Bound,
     /// J^T of a search direction of the pressure.
@@ -191,16 +159,6 @@ pub(super) struct Coupled {
     pub(super) nodes: Option<Mutex<NodeReadbacks>>,
     /// For the right-hand side of the wet quads, where residuals are evaluated on the host.
     base: Option<Mutex<Readback<u32>>>,
-}
-
-#[derive(Debug)]
-struct Residual {
-    /// b - J v in the wet quads; products of the elements with v; P (rhs - S v); the same with J^T phi; sums.
-    quads: Bound,
-    products: Bound,
-    solid: Bound,
-    nodes: Bound,
-    sums: Bound,
 }
 
 impl CoupledSolver {
@@ -241,31 +199,29 @@ impl CoupledSolver {
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
         let (form, recorder, mut times) = self.prepare(gpu, recorder, at, polynomial)?;
-        let (outcome, mut stages) = self.solve_form(gpu, recorder, &form, (again, None), None)?;
+        let (outcome, mut stages, _) = self.solve_form(gpu, recorder, &form, (again, None), None, &mut |_| {})?;
         times.append(&mut stages);
         Ok((outcome, times))
     }
 
-    /// `again`, `held`: see [`CorrectionForm::case`]. `aim`: of a round of separation, as in [`CoupledSolver::solve_then`].
-    pub(super) fn solve_form(
+    /// Solves in a form that was prepared, with more work at the end of every submission. Returns whether that work has read the solution.
+    /// `again`: the right-hand side of the last solve. `held`: see [`CorrectionForm::case`]. `aim`: of a round of separation, in which the
+    /// active cells may be fewer than those that the form was prepared for; its guess is of velocities, and of the correction of potentials
+    /// in the buffers.
+    pub(crate) fn solve_form(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
         form: &CorrectionForm,
         (again, held): (bool, Option<&HeldSolve>),
         aim: Option<Aim>,
-    ) -> Result<(CoupledOutcome, StageTimes), Error> {
+        then: &mut dyn FnMut(&mut Recorder),
+    ) -> Result<(CoupledOutcome, StageTimes, bool), Error> {
         let case = form.case(again, held);
-        self.clear(gpu, case);
-        let (outcomes, times) = match aim {
-            None => self.outer.solve(gpu, recorder, case)?,
-            Some(aim) => {
-                let masked = Case { sized: false, ..case };
-                let (outcomes, times, _) = self.outer.solve_then(gpu, recorder, masked, aim, &mut |_| {})?;
-                (outcomes, times)
-            }
-        };
-        Ok((CoupledOutcome::new(&outcomes, form.condenses()), times))
+        let case = Case { sized: case.sized && aim.is_none(), ..case };
+        let (outcomes, times, read) = self.outer.solve(gpu, recorder, case, aim, then)?;
+        let outcome = CoupledOutcome { parts: [outcomes[0], outcomes[1]], condensed: form.condenses() };
+        Ok((outcome, times, read))
     }
 
     /// Decides on the form of the corrections of this sub-step, as [`CoupledSolver::solve`] does. Returns the recording to go on with.
@@ -290,32 +246,6 @@ impl CoupledSolver {
             gpu.upload(&self.polynomial, &[*polynomial]);
         }
         Ok((form, recorder, times))
-    }
-
-    /// Solves in a form that was prepared to another tolerance, with more work at the end of every submission. The active cells may be
-    /// fewer than those that the form was prepared for. Returns whether that work has read the solution. `again`: the right-hand side of
-    /// the last solve. `guess`: velocities, and the correction of potentials in the buffers, are a guess.
-    pub(crate) fn solve_then(
-        &self,
-        gpu: &Gpu,
-        recorder: Recorder,
-        form: &CorrectionForm,
-        (tolerance, again, guess): (f64, bool, bool),
-        then: &mut dyn FnMut(&mut Recorder),
-    ) -> Result<(CoupledOutcome, StageTimes, bool), Error> {
-        let case = Case { sized: false, ..form.case(again, None) };
-        self.clear(gpu, case);
-        let aim = Aim { tolerance, guess };
-        let (outcomes, times, read) = self.outer.solve_then(gpu, recorder, case, aim, then)?;
-        let outcome = CoupledOutcome::new(&outcomes, form.condenses());
-        Ok((outcome, times, read))
-    }
-
-    /// Before a solve in the Schur-complement form: nothing is left of a monolithic one.
-    fn clear(&self, gpu: &Gpu, case: Case) {
-        if !matches!(case.form, Form::Monolithic) {
-            self.outer.clear(gpu, case);
-        }
     }
 
     /// Tolerance of both residuals.
@@ -363,9 +293,7 @@ impl CoupledSolver {
         at.liquid.outer.upload(gpu, p);
         at.solids.r.upload(gpu, v);
         let case = Case::new(at, polynomial.degree as usize);
-        self.outer.precondition(gpu, case, |coupled, pass, state| {
-            coupled.pressure.begin(pass, state);
-        })?;
+        self.outer.precondition(gpu, case, |coupled, pass, state| coupled.pressure.begin(pass, state))?;
         let mut z = at.liquid.z_next.download(gpu)?;
         z.truncate(n);
         z.extend(at.solids.z.download(gpu)?);
@@ -374,6 +302,11 @@ impl CoupledSolver {
 }
 
 impl Coupled {
+    /// The Schur-complement form, in a solve with it.
+    fn schur(&self, case: Case) -> Option<&Schur> {
+        self.schur.as_ref().filter(|_| matches!(case.form, Form::Schur(_)))
+    }
+
     /// Prepares the Schur-complement form for `most` wet nodes, after the recording.
     pub(super) fn prepare<'a>(
         &'a self,
@@ -395,7 +328,10 @@ impl Coupled {
     ) -> Result<Coupled, Error> {
         let CoupledFields { liquid, solids, fields, coupling, .. } = at;
         let variant = liquid.variant;
+        let real = variant.real;
         let sized = [("from_args", (&liquid.args).into())];
+        let v = [("x", (&fields.velocity).into())];
+        let p = [("p", (&liquid.potential).into()), ("sums", (&solids.partials).into())];
         let direction = [("p", (&liquid.search).into())];
         let schur = match solver.formulation {
             Formulation::TwoField => None,
@@ -405,8 +341,14 @@ impl Coupled {
             pressure: Pressure::new(gpu, liquid, shared, at.velocity, at.open, solver)?,
             args: bind(gpu, &wgsl!("coupled_args"), variant, sized, &[coupling])?,
             guess: solids.bind_guess(gpu, fields)?,
-            keep: bind(gpu, &wgsl!("couple_keep"), variant.real, [], &at.by_quad())?,
-            residual: Residual::new(gpu, at, shared)?,
+            keep: bind(gpu, &wgsl!("couple_keep"), real, [], &at.by_quad())?,
+            residual_quads: bind(gpu, &wgsl!("couple_residual"), real, v, &at.by_quad())?,
+            residual_nodes: [
+                solids.bind_products(gpu, fields, &fields.velocity)?,
+                solids.bind_residual(gpu, fields)?,
+                bind(gpu, &wgsl!("coupled_residual"), real, p, &at.by_node())?,
+            ],
+            residual_sums: bind(gpu, &wgsl!("coupled_sums"), real, [], &[coupling, shared])?,
             weight: bind(gpu, &wgsl!("two_field_weight"), variant, [], &[coupling, shared])?,
             force: bind(gpu, &wgsl!("couple_force"), variant, direction, &at.by_node())?,
             monolithic: Monolithic::new(gpu, at, shared, polynomial, solver)?,
@@ -415,26 +357,10 @@ impl Coupled {
                 .transpose()?,
             schur,
             nodes: (solver.solid_contact).then(|| NodeReadbacks::new(gpu, solids, fields)).transpose()?.map(Mutex::new),
-            base: (variant.real == Real::F32)
+            base: (real == Real::F32)
                 .then(|| Readback::new(gpu, "coupled_solver.base", coupling.base.words.len()))
                 .transpose()?
                 .map(Mutex::new),
-        })
-    }
-}
-
-impl Residual {
-    fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared) -> Result<Residual, Error> {
-        let CoupledFields { liquid, solids, fields, coupling, .. } = at;
-        let real = liquid.variant.real;
-        let v = [("x", (&fields.velocity).into())];
-        let p = [("p", (&liquid.potential).into()), ("sums", (&solids.partials).into())];
-        Ok(Residual {
-            products: solids.bind_products(gpu, fields, &fields.velocity)?,
-            solid: solids.bind_residual(gpu, fields)?,
-            nodes: bind(gpu, &wgsl!("coupled_residual"), real, p, &at.by_node())?,
-            quads: bind(gpu, &wgsl!("couple_residual"), real, v, &at.by_quad())?,
-            sums: bind(gpu, &wgsl!("coupled_sums"), real, [], &[coupling, shared])?,
         })
     }
 }
@@ -474,10 +400,7 @@ impl System for Coupled {
     }
 
     fn pcg<'a>(&'a self, monolithic: &'a Pcg, case: Case<'_>) -> &'a Pcg {
-        match (&self.schur, case.form) {
-            (Some(schur), Form::Schur(_)) => &schur.pcg,
-            _ => monolithic,
-        }
+        self.schur(case).map_or(monolithic, |schur| &schur.pcg)
     }
 
     fn record_set_up(&self, pass: &mut Pass, case: Case<'_>) {
@@ -498,20 +421,19 @@ impl System for Coupled {
     }
 
     fn record_residual(&self, pass: &mut Pass, state: &State) {
-        let Residual { products, solid, nodes, quads, sums } = &self.residual;
-        state.in_evaluation(pass, quads);
+        state.in_evaluation(pass, &self.residual_quads);
         self.pressure.record_residual(pass, state);
-        for bound in [products, solid, nodes] {
+        for bound in &self.residual_nodes {
             state.in_evaluation(pass, bound);
         }
-        pass.dispatch(sums, 1);
+        pass.dispatch(&self.residual_sums, 1);
     }
 
     fn record_begin(&self, pass: &mut Pass, state: &State, pcg: &Pcg, case: Case<'_>) {
         self.pressure.begin(pass, state);
-        match (&self.schur, case.form) {
-            (Some(schur), Form::Schur(_)) => schur.record_begin(pass, state),
-            _ => self.monolithic.record_begin(pass, state),
+        match self.schur(case) {
+            Some(schur) => state.in_begin(pass, &schur.begin),
+            None => self.monolithic.record_begin(pass, state),
         }
         pcg.record_gate(pass);
         pass.dispatch_indirect(&self.weight, &state.gate, 0);
@@ -519,14 +441,10 @@ impl System for Coupled {
 
     fn record_preconditioner(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
         let Case { at, degree, .. } = case;
-        let pressure = |pass: &mut Pass| {
-            self.pressure.record_preconditioner(pass, state, at.liquid);
-        };
+        let pressure = |pass: &mut Pass| self.pressure.record_preconditioner(pass, state, at.liquid);
         match case.form {
             Form::Schur(_) => pressure(pass),
-            Form::Monolithic | Form::Singular => {
-                self.monolithic.record_preconditioner(pass, state, degree, pressure);
-            }
+            Form::Monolithic | Form::Singular => self.monolithic.record_preconditioner(pass, state, degree, pressure),
         }
     }
 
@@ -537,19 +455,16 @@ impl System for Coupled {
     }
 
     fn record_operator(&self, pass: &mut Pass, state: &State, sizes: &Buffer<u32>, case: Case<'_>) {
-        let Case { at, form, .. } = case;
-        let [nodes, wet] = [NODES, WET].map(|list| at.coupling.slot(list));
+        let CoupledFields { liquid, coupling, .. } = case.at;
+        let [nodes, wet] = [NODES, WET].map(|list| coupling.slot(list));
         pass.dispatch_indirect(&self.force, sizes, nodes);
-        let (of_nodes, quads, alpha) = match (&self.schur, form) {
-            (Some(schur), Form::Schur(_)) => schur.operator(),
-            _ => self.monolithic.operator(),
-        };
-        for bound in of_nodes {
+        let operator: &Operator = self.schur(case).map_or(&self.monolithic.operator, |schur| &schur.operator);
+        for bound in &operator.nodes {
             pass.dispatch_indirect(bound, sizes, nodes);
         }
-        self.pressure.record_operator(pass, state, sizes, at.liquid);
-        pass.dispatch_indirect(quads, sizes, wet);
-        pass.dispatch_indirect(alpha, &state.gate, 0);
+        self.pressure.record_operator(pass, state, sizes, liquid);
+        pass.dispatch_indirect(&operator.quads, sizes, wet);
+        pass.dispatch_indirect(&operator.alpha, &state.gate, 0);
     }
 
     fn record_update(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
@@ -562,8 +477,6 @@ impl System for Coupled {
     fn on_host<'a>(&self, gpu: &Gpu, case: Self::Case<'a>, _: u32) -> Result<HostCoupled<'a>, Error> {
         let base = self.base.as_ref();
         let base = base.expect("made with every solver whose residual the device rounds");
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut base = base.lock().unwrap_or_else(PoisonError::into_inner);
-        HostCoupled::download(gpu, case.at, &mut base)
+        HostCoupled::download(gpu, case.at, &mut lock(base))
     }
 }

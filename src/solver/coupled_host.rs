@@ -1,10 +1,10 @@
 //! The coupled system in f64 on the host; units and signs as in [`coupled`](super::coupled).
 
-use crate::fields::Pair;
 use glam::DVec3;
 
 use crate::Error;
-use crate::gpu::{Gpu, Readback, Recorder};
+use crate::fields::Pair;
+use crate::gpu::{Gpu, Readback};
 
 use super::Control;
 use super::acceptance::{RHS, TERMS, evaluation_slot, norm_slot};
@@ -32,10 +32,7 @@ impl HostCoupled<'_> {
         base: &mut Readback<u32>,
     ) -> Result<HostCoupled<'a>, Error> {
         let coupling = at.coupling;
-        let mut recorder = Recorder::new(gpu);
-        recorder.read(&coupling.base.words, base);
-        recorder.submit();
-        let base = coupling.base.widen(&base.wait(gpu)?);
+        let base = coupling.base.widen(&base.fetch(gpu, &coupling.base.words)?);
         let pairs = coupling.written.pairs.as_slice();
         // Evaluations on the device subtract J v where solids are wet.
         let restore = |rhs: &mut [f64]| {
@@ -56,7 +53,7 @@ impl HostCoupled<'_> {
 
     /// J^T p in N, four numbers per node.
     fn force(&self, p: &[f64]) -> Vec<f64> {
-        let mut force = vec![0.0; 4 * self.solids.n_nodes()];
+        let mut force = vec![0.0; 4 * self.solids.freedom.len()];
         for pair in self.pairs.iter().filter(|pair| self.pressure.active[pair.cell]) {
             let of_node = &mut force[4 * pair.node..];
             for (force, value) in of_node.iter_mut().zip(pair.value) {
@@ -84,7 +81,7 @@ impl HostSystem for HostCoupled<'_> {
     /// Zero but for constrained velocities.
     fn start(&self) -> Vec<Vec<f64>> {
         let n = self.pressure.rhs.len();
-        vec![vec![0.0; n], self.solids.constrained()]
+        vec![vec![0.0; n], self.solids.constrained.clone()]
     }
 
     fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {
@@ -114,7 +111,7 @@ impl HostSystem for HostCoupled<'_> {
     }
 
     fn set_forces(&mut self, forces: Vec<f64>) {
-        self.solids.set_rhs(forces);
+        self.solids.rhs = forces;
     }
 
     fn finish(&self, gpu: &Gpu, x: &mut [Vec<f64>]) {

@@ -2,15 +2,14 @@
 //!
 //! Rows, held rows and the learned response persist between the rounds of separation.
 
-use std::sync::PoisonError;
-
 use crate::Error;
-use crate::gpu::{Gpu, Recorder, StageTimes};
+use crate::gpu::{Gpu, Recorder, StageTimes, lock};
 use crate::linalg::{ForceSearch, HeldRows, Row, RowSearch, UnilateralRows};
 use crate::state::{ContactReport, SolveStatus};
 
 use super::contact_rows::{self, HeldSolve, NodeReadbacks, RowsOf};
 use super::coupled::{CorrectionForm, CoupledOutcome, CoupledSolver};
+use super::plus;
 use super::refine::Aim;
 use super::schur::{Inverse, Prepared, Schur};
 use super::stored_stiffness::Factor;
@@ -112,16 +111,16 @@ struct Solved {
 
 impl Solved {
     fn is_solved(&self) -> bool {
-        self.outcome.is_some_and(|outcome| outcome.status.is_best_attainable())
+        self.outcome.is_some_and(|outcome| outcome.parts[0].status.is_best_attainable())
     }
 
     fn finished(self) -> (CoupledOutcome, ContactReport, StageTimes) {
         (self.outcome.expect("every round solves"), self.report, self.times)
     }
 
-    fn add(&mut self, (next, mut times): (CoupledOutcome, StageTimes)) {
-        let before = self.outcome.map_or(0, |outcome| outcome.iterations);
-        self.outcome = Some(CoupledOutcome { iterations: before + next.iterations, ..next });
+    fn add(&mut self, (next, mut times, _): (CoupledOutcome, StageTimes, bool)) {
+        let before = self.outcome.map_or(0, |outcome| outcome.parts[0].iterations);
+        self.outcome = Some(next.after(before));
         self.report.solves += 1;
         self.times.append(&mut times);
     }
@@ -146,14 +145,12 @@ impl<'a> RowSolves<'a> {
         let rough = aim.is_some_and(|aim| aim.tolerance > self.together.tolerance());
         let limits = if rough { RowLimits { meetings: 0, sets: 1 } } else { limits };
         let mut solved = Solved::default();
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let nodes = system.nodes.as_ref().map(|nodes| nodes.lock().unwrap_or_else(PoisonError::into_inner));
-        let mut nodes = nodes.expect("made with every solver for contact");
+        let mut nodes = lock(system.nodes.as_ref().expect("made with every solver for contact"));
         let mut rows = Vec::new();
         let mut recorder = recorder;
         if self.contact.is_none() {
             let again = aim.is_some_and(|aim| aim.guess);
-            solved.add(self.together.solve_form(gpu, recorder, &self.form, (again, None), aim)?);
+            solved.add(self.together.solve_form(gpu, recorder, &self.form, (again, None), aim, &mut |_| {})?);
             recorder = Recorder::new(gpu);
         } else if self.upgraded {
             self.factorise(gpu, recorder, &mut solved.times)?;
@@ -176,8 +173,9 @@ impl<'a> RowSolves<'a> {
         };
         let Some(factor) = schur.map(|(_, inverse)| &inverse.factor).or(factor.as_ref()) else {
             solved.report.unsettled = rows.len() as u32;
-            let (outcome, report, times) = solved.finished();
-            return Ok((CoupledOutcome { status: SolveStatus::Breakdown, ..outcome }, report, times));
+            let (mut outcome, report, times) = solved.finished();
+            outcome.parts.iter_mut().for_each(|part| part.status = SolveStatus::Breakdown);
+            return Ok((outcome, report, times));
         };
         let n_nodes = at.coupling.n_nodes;
         let mut free = velocity.clone();
@@ -215,8 +213,7 @@ impl<'a> RowSolves<'a> {
         if aim.is_some() {
             // The next round begins without forces of rows.
             at.solids.rhs.upload(gpu, &round.rhs);
-            let forces = contact.system.forces(&contact.lambda).into_iter();
-            contact.pushed = round.rhs.iter().zip(forces).map(|(rhs, force)| rhs + force).collect();
+            contact.pushed = plus(&round.rhs, 1.0, &contact.system.forces(&contact.lambda));
         }
         Ok(round.solved.finished())
     }
@@ -288,10 +285,10 @@ impl Round<'_, '_> {
         let Some(held) = system.hold(search.held()) else {
             return Ok(None);
         };
-        let mut pushed = self.rhs.clone();
-        if let Some(forces) = search.slipping_forces(system) {
-            pushed.iter_mut().zip(forces).for_each(|(rhs, force)| *rhs += force);
-        }
+        let pushed = match search.slipping_forces(system) {
+            Some(forces) => plus(&self.rhs, 1.0, &forces),
+            None => self.rhs.clone(),
+        };
         let solved = self.hold(held, &pushed)?;
         lambda.clone_from(&solved.lambda);
         lambda.iter_mut().zip(search.slipping()).for_each(|(lambda, slipping)| *lambda += slipping);
@@ -311,8 +308,7 @@ impl Round<'_, '_> {
         let tolerance = self.aim.map_or(self.together.tolerance(), |aim| aim.tolerance);
         let mut forces = ForceSearch::new(held, &self.free);
         loop {
-            let sums = pushed.iter().zip(forces.forces());
-            at.solids.rhs.upload(self.gpu, &sums.map(|(rhs, force)| rhs + force).collect::<Vec<f64>>());
+            at.solids.rhs.upload(self.gpu, &plus(pushed, 1.0, &forces.forces()));
             let velocity = self.solve(None)?;
             if !self.solved.is_solved() || !forces.advance(&velocity, tolerance) {
                 let missed = forces.violated(&velocity, tolerance);
@@ -323,13 +319,8 @@ impl Round<'_, '_> {
 
     fn solve(&mut self, held: Option<&HeldSolve>) -> Result<Vec<f64>, Error> {
         let at = self.form.at;
-        self.solved.add(self.together.solve_form(
-            self.gpu,
-            Recorder::timed(self.gpu),
-            self.form,
-            (true, held),
-            self.aim,
-        )?);
+        let (recorder, with) = (Recorder::timed(self.gpu), (true, held));
+        self.solved.add(self.together.solve_form(self.gpu, recorder, self.form, with, self.aim, &mut |_| {})?);
         self.nodes.read_velocity(self.gpu, at.fields)
     }
 }

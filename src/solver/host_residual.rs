@@ -1,14 +1,13 @@
 //! The residual of the stored pressure system in f64 on the host, for adapters without f64 and for verdicts on f32 solves.
 
-use crate::fields::SolverBuffers;
-use crate::fields::pressure_system::PressureReadbacks;
 use std::collections::BTreeMap;
-use std::sync::PoisonError;
 
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::gpu::{Gpu, Readback, Recorder};
+use crate::fields::SolverBuffers;
+use crate::fields::pressure_system::PressureReadbacks;
+use crate::gpu::{Gpu, Readback, Recorder, lock};
 use crate::grid::Padded;
 
 use super::refine::{HostResidual, HostSystem};
@@ -37,8 +36,7 @@ impl HostPressure {
         let level = buffers.plan.levels[0];
         let readbacks = buffers.to_host.as_ref();
         let readbacks = readbacks.expect("made with the buffers of every system whose residual the device rounds");
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = readbacks.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut readbacks = lock(readbacks);
         let PressureReadbacks { matrix, flags, rhs, labels } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
         for (s, section) in matrix.iter_mut().enumerate() {
@@ -128,8 +126,7 @@ impl HostSystem for HostPressure {
     }
 
     fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {
-        let alone = HostResidual { coupling: 0.0, ..self.residual_of(&self.rhs, &x[0]) };
-        vec![alone]
+        vec![HostResidual { coupling: 0.0, ..self.residual_of(&self.rhs, &x[0]) }]
     }
 
     fn finish(&self, _: &Gpu, x: &mut [Vec<f64>]) {

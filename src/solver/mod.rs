@@ -66,6 +66,11 @@ pub use weak::{Weak, WeakBuffers};
 
 use crate::grid::Layout;
 
+/// x + factor y.
+fn plus(x: &[f64], factor: f64, y: &[f64]) -> Vec<f64> {
+    x.iter().zip(y).map(|(x, y)| x + factor * y).collect()
+}
+
 /// Room for the steps of the tail: 5 per level and the sweeps that solve the last.
 pub const TAIL_STEPS: usize = 48;
 /// Iterations between two gates of the one-workgroup kernels.

@@ -3,8 +3,7 @@
 
 use crate::Error;
 use crate::fields::pressure_system::FOLD_THREADS;
-use crate::gpu::bind;
-use crate::gpu::{Arrays, Binding, Bound, Buffer, Gpu, Pass, RealBuffer, Source, Variant};
+use crate::gpu::{Arrays, Binding, Bound, Buffer, Gpu, Pass, RealBuffer, Source, Variant, bind};
 use crate::wgsl;
 
 use super::refine::{Pace, System};

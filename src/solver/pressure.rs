@@ -2,8 +2,7 @@
 
 use crate::Error;
 use crate::fields::SolverBuffers;
-use crate::gpu::bind;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Recorder, StageTimes};
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Recorder, StageTimes, bind};
 use crate::scene::{Preconditioner, Solver};
 use crate::wgsl;
 
@@ -38,21 +37,20 @@ impl PressureSolver {
         recorder: Recorder,
         buffers: &SolverBuffers,
     ) -> Result<(Outcome, StageTimes), Error> {
-        let (outcomes, times) = self.0.solve(gpu, recorder, buffers)?;
+        let (outcomes, times, _) = self.0.solve(gpu, recorder, buffers, None, &mut |_| {})?;
         Ok((outcomes[0], times))
     }
 
-    /// The same to another tolerance, with more work at the end of every submission. Returns whether that work has read the solution.
-    /// `guess`: the correction in the buffers is a guess.
+    /// The same with another aim, with more work at the end of every submission. Returns whether that work has read the solution. A guess is
+    /// the correction in the buffers.
     pub(crate) fn solve_then(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
-        (buffers, tolerance, guess): (&SolverBuffers, f64, bool),
+        (buffers, aim): (&SolverBuffers, Aim),
         then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(Outcome, StageTimes, bool), Error> {
-        let aim = Aim { tolerance, guess };
-        let (outcomes, times, read) = self.0.solve_then(gpu, recorder, buffers, aim, then)?;
+        let (outcomes, times, read) = self.0.solve(gpu, recorder, buffers, Some(aim), then)?;
         Ok((outcomes[0], times, read))
     }
 
@@ -77,9 +75,7 @@ impl PressureSolver {
     /// the device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
     pub fn precondition(&self, gpu: &Gpu, buffers: &SolverBuffers, r: &[f64]) -> Result<Vec<f64>, Error> {
         buffers.outer.upload(gpu, r);
-        self.0.precondition(gpu, buffers, |pressure, pass, state| {
-            pressure.begin(pass, state);
-        })?;
+        self.0.precondition(gpu, buffers, Pressure::begin)?;
         let mut z = buffers.z_next.download(gpu)?;
         z.truncate(r.len());
         Ok(z)
@@ -124,15 +120,14 @@ impl Pressure {
         let x = ("x", (&buffers.potential).into());
         let outer_partials = ("partials", (&buffers.outer_partials).into());
         let direction = ("x", (&buffers.search).into());
-        let measured = [("velocity", velocity.into()), ("open", open.into()), x, outer_partials];
+        let outer = [("velocity", velocity.into()), ("open", open.into()), x, outer_partials];
         let begin_sweep = [("sweep", (&begin_sweep).into())];
         let update_sweep = [("sweep", (&update_sweep).into())];
-        let residual = [x, outer_partials];
         let inner = variant.inner;
         Ok(Pressure {
-            measure: bind(gpu, &wgsl!("refine_measure"), variant, measured, tables)?,
+            measure: bind(gpu, &wgsl!("refine_measure"), variant, outer, tables)?,
             begin: bind(gpu, &wgsl!("pcg_begin"), variant, begin_sweep, tables)?,
-            residual: bind(gpu, &wgsl!("refine_residual"), variant, residual, tables)?,
+            residual: bind(gpu, &wgsl!("refine_residual"), variant, outer, tables)?,
             preconditioner: match solver.preconditioner {
                 Preconditioner::Multigrid => Precondition::Multigrid(Hierarchy::new(gpu, buffers)?),
                 Preconditioner::Jacobi | Preconditioner::BlockJacobi => {
@@ -144,9 +139,7 @@ impl Pressure {
             update: bind(gpu, &wgsl!("pcg_update"), inner, update_sweep, tables)?,
         })
     }
-}
 
-impl Pressure {
     /// Records the scaled residual, and the first sweep of a V-cycle on it.
     pub(super) fn begin(&self, pass: &mut Pass, state: &State) {
         state.in_begin(pass, &self.begin);

@@ -6,13 +6,12 @@
 
 use std::collections::VecDeque;
 use std::fmt::Debug;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use crate::Error;
 use crate::fields::pressure_system::{N_CLOSED, STATE_WORDS};
-use crate::gpu::bind;
 use crate::gpu::{
-    Arrays, Binding, Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
+    Arrays, Binding, Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant, bind, lock,
 };
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
@@ -23,9 +22,9 @@ use super::acceptance::{
     Acceptance, REFERENCE, RESIDUAL, RHS, RefineSettings, SCALE, TERMS, evaluation_slot, n_norms, norm_slot, reference,
     relative,
 };
-use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
+use super::pcg::{Block, Fold, N_SCALARS, Pcg, State, Unknowns};
 use super::schur::Elimination;
-use super::{Control, Level};
+use super::{Control, Level, plus};
 
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 const GOAL: usize = 3;
@@ -98,20 +97,16 @@ impl Latest {
     /// Iterations of a refinement step in excess of the mean: the first takes more than the others.
     const SPARE: usize = 2;
 
-    fn list(&self) -> MutexGuard<'_, VecDeque<(usize, usize)>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds a solve, with the refinement steps that were recorded for it where the first recording did not suffice.
     fn push(&self, solved: &Outcome, recorded: Option<usize>) {
-        let mut list = self.list();
+        let mut list = lock(&self.0);
         list.truncate(Self::N - 1);
         list.push_front((solved.iterations as usize, recorded.unwrap_or(solved.refinements as usize)));
     }
 
     /// Pace that the latest solves would have needed; that of the first one without any.
     fn pace(&self, first: Pace) -> Pace {
-        let list = self.list();
+        let list = lock(&self.0);
         let mean = list.iter().map(|&(iterations, steps)| iterations.div_ceil(steps.max(1))).max();
         let steps = list.iter().map(|&(_, steps)| steps.max(1)).max();
         Pace {
@@ -390,44 +385,42 @@ impl<S: System> OuterLoop<S> {
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome of each block, with residuals in f64: of the host where
-    /// the device rounds them.
+    /// the device rounds them. `aim`: of this solve, where it differs from that of all. `then` adds work at the end of every submission.
+    /// Returns whether that work has read the solution.
     pub(super) fn solve(
         &self,
         gpu: &Gpu,
         recorder: Recorder,
         case: S::Case<'_>,
-    ) -> Result<(Vec<Outcome>, StageTimes), Error> {
-        self.solve_from(gpu, recorder, case, self.aim(), &mut |_| {})
-    }
-
-    /// The same with another aim, and with more work at the end of every submission. Returns whether that work has read the solution.
-    pub(super) fn solve_then(
-        &self,
-        gpu: &Gpu,
-        recorder: Recorder,
-        case: S::Case<'_>,
-        aim: Aim,
+        aim: Option<Aim>,
         then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(Vec<Outcome>, StageTimes, bool), Error> {
-        // The host, where it refines, has no use for a guess.
-        let guess = aim.guess && !self.on_host;
-        let aim = Aim { guess, ..aim };
-        gpu.upload(&self.settings, &[self.settings(aim)]);
-        let (outcomes, times) = self.solve_from(gpu, recorder, case, aim, then)?;
-        gpu.upload(&self.settings, &[self.settings(self.aim())]);
+        let mut times = StageTimes::new();
+        let outcomes = match aim {
+            None => self.refine(gpu, recorder, case, self.aim(), then, &mut times)?,
+            Some(Aim { tolerance, guess }) => {
+                // The host, where it refines, has no use for a guess.
+                let aim = Aim { tolerance, guess: guess && !self.on_host };
+                gpu.upload(&self.settings, &[self.settings(aim)]);
+                let outcomes = self.refine(gpu, recorder, case, aim, then, &mut times)?;
+                gpu.upload(&self.settings, &[self.settings(self.aim())]);
+                outcomes
+            }
+        };
         let read = outcomes[0].status == SolveStatus::Converged && !self.on_host;
         Ok((outcomes, times, read))
     }
 
-    fn solve_from(
+    fn refine(
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
         case: S::Case<'_>,
         aim: Aim,
         then: &mut dyn FnMut(&mut Recorder),
-    ) -> Result<(Vec<Outcome>, StageTimes), Error> {
-        let mut times = StageTimes::new();
+        times: &mut StageTimes,
+    ) -> Result<Vec<Outcome>, Error> {
+        self.clear(gpu, case);
         let form = S::form(case);
         let monolithic = matches!(form, Form::Monolithic);
         recorder.stage(Stage::Solve.name(), |pass| {
@@ -440,9 +433,9 @@ impl<S: System> OuterLoop<S> {
             }
         });
         if self.on_host {
-            let outcomes = self.solve_on_host(gpu, recorder, case, aim, &mut times)?;
+            let outcomes = self.solve_on_host(gpu, recorder, case, aim, times)?;
             self.latest.push(&outcomes[0], None);
-            return Ok((outcomes, times));
+            return Ok(outcomes);
         }
         let steps = self.pace(case).steps;
         let mut recordings = 0;
@@ -459,11 +452,11 @@ impl<S: System> OuterLoop<S> {
                 recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
             }
             let residual = match form {
-                Form::Schur(_) => S::unknowns(case).blocks.get(1).map(|block| block.outer),
+                Form::Schur(elimination) => Some((S::unknowns(case).blocks[1].outer, elimination.readback)),
                 Form::Monolithic | Form::Singular => None,
             };
             then(&mut recorder);
-            let reading = self.submit(gpu, recorder, case, residual, &mut times)?;
+            let reading = self.submit(gpu, recorder, case, residual, times)?;
             if let Some(status) = status(&reading, self.n_blocks) {
                 if reading.control.status == STATUS_STAGNATED {
                     if let Form::Schur(elimination) = form {
@@ -476,15 +469,12 @@ impl<S: System> OuterLoop<S> {
                 }
                 let outcomes = self.verified(gpu, case, status, reading)?;
                 self.latest.push(&outcomes[0], (monolithic && recordings > 1).then_some(recordings * steps));
-                return Ok((outcomes, times));
+                return Ok(outcomes);
             }
             recorder = match form {
                 Form::Monolithic => Recorder::timed(gpu),
-                Form::Schur(elimination) => self.refine_schur(gpu, case, elimination, reading, &mut times)?,
-                Form::Singular => {
-                    let outcomes = self.verified(gpu, case, SolveStatus::Breakdown, reading)?;
-                    return Ok((outcomes, times));
-                }
+                Form::Schur(elimination) => self.refine_schur(gpu, case, elimination, reading, times)?,
+                Form::Singular => return self.verified(gpu, case, SolveStatus::Breakdown, reading),
             };
         }
     }
@@ -502,22 +492,8 @@ impl<S: System> OuterLoop<S> {
         if reading.control.running == 1 {
             let size = reading.norms[SCALE];
             elimination.eliminate(gpu, &reading.nodes, size, 1.0);
-            let mut recorder = Recorder::timed(gpu);
-            recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
-            let force = loop {
-                recorder.stage(Stage::Solve.name(), |pass| {
-                    self.record_iterations(pass, case);
-                    elimination.record_force(pass);
-                });
-                let force = Some(elimination.force);
-                let reading = self.submit(gpu, recorder, case, force, times)?;
-                if reading.control.running == 0 {
-                    break reading.nodes;
-                }
-                recorder = Recorder::timed(gpu);
-            };
-            let forces = reading.nodes.iter().zip(&force);
-            let forces: Vec<f64> = forces.map(|(r, force)| r + size * force).collect();
+            let force = self.iterate(gpu, case, Some(elimination), times)?.nodes;
+            let forces = plus(&reading.nodes, size, &force);
             let mut search = vec![0.0; forces.len()];
             search.extend(elimination.correct(gpu, &forces, size, 1.0).0);
             S::unknowns(case).blocks[1].search.upload(gpu, &search);
@@ -530,8 +506,8 @@ impl<S: System> OuterLoop<S> {
     }
 
     /// Before a solve in the Schur-complement form: nothing is left of a monolithic one.
-    pub(super) fn clear(&self, gpu: &Gpu, case: S::Case<'_>) {
-        if !self.on_host {
+    fn clear(&self, gpu: &Gpu, case: S::Case<'_>) {
+        if !self.on_host && !matches!(S::form(case), Form::Monolithic) {
             self.state.scalars.upload(gpu, &[0.0; N_SCALARS]);
             for block in &S::unknowns(case).blocks[1..] {
                 let n = 4 * block.search.words.len() / block.search.real.bytes();
@@ -578,37 +554,24 @@ impl<S: System> OuterLoop<S> {
         gpu.check(Stage::Solve.name())
     }
 
-    fn readbacks(&self) -> MutexGuard<'_, Readbacks> {
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        self.readbacks.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Submits and reads the state back, with four numbers per node of a form that eliminates them.
     fn submit(
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
         case: S::Case<'_>,
-        nodes: Option<&RealBuffer>,
+        nodes: Option<(&RealBuffer, &Mutex<Readback<u32>>)>,
         times: &mut StageTimes,
     ) -> Result<Reading, Error> {
-        let mut readbacks = self.readbacks();
+        let mut readbacks = lock(&self.readbacks);
         let Readbacks { control, norms, components, .. } = &mut *readbacks;
         recorder.read(&self.state.control, control);
         recorder.read(&self.norms.words, norms);
         if let (Some(words), Some(back)) = (S::unknowns(case).components, components.as_mut()) {
             recorder.read(words, back);
         }
-        let form = S::form(case);
-        let of_nodes = match &form {
-            Form::Schur(elimination) => nodes.zip(Some(elimination.readback)),
-            Form::Monolithic | Form::Singular => None,
-        };
-        let mut of_nodes = of_nodes.map(|(nodes, readback)| {
-            let readback = readback.lock().unwrap_or_else(PoisonError::into_inner);
-            (nodes, readback)
-        });
-        if let Some((nodes, readback)) = &mut of_nodes {
+        let mut nodes = nodes.map(|(nodes, readback)| (nodes, lock(readback)));
+        if let Some((nodes, readback)) = &mut nodes {
             recorder.read(&nodes.words, readback);
         }
         times.append(&mut recorder.submit().wait()?);
@@ -619,7 +582,7 @@ impl<S: System> OuterLoop<S> {
                 Some(components) => components.wait(gpu)?[N_CLOSED],
                 None => 0,
             },
-            nodes: match &mut of_nodes {
+            nodes: match &mut nodes {
                 Some((nodes, readback)) => nodes.widen(&readback.wait(gpu)?),
                 None => Vec::new(),
             },
@@ -627,18 +590,19 @@ impl<S: System> OuterLoop<S> {
     }
 
     /// Reads unknowns back, or corrections: of the first blocks as many as there are buffers.
-    fn read_blocks(&self, gpu: &Gpu, from: &[&RealBuffer], correction: bool) -> Result<Vec<Vec<f64>>, Error> {
-        let mut readbacks = self.readbacks();
+    fn read_blocks<'b>(&self, gpu: &Gpu, blocks: &[Block<'b>], correction: bool) -> Result<Vec<Vec<f64>>, Error> {
+        let mut readbacks = lock(&self.readbacks);
         let mut recorder = Recorder::new(gpu);
-        for (from, back) in from.iter().zip(&mut readbacks.blocks) {
+        let from = |block: &Block<'b>| if correction { block.search } else { block.x };
+        for (block, back) in blocks.iter().zip(&mut readbacks.blocks) {
+            let words = &from(block).words;
             // The correction is the second half of the search direction.
-            let first = if correction { from.words.len() / 2 } else { 0 };
-            recorder.read_part(&from.words, first, back);
+            let first = if correction { words.len() / 2 } else { 0 };
+            recorder.read_part(words, first, back);
         }
         recorder.submit();
-        let blocks = from.iter().zip(&mut readbacks.blocks);
-        let blocks = blocks.map(|(from, back)| Ok(from.widen(&back.wait(gpu)?)));
-        blocks.collect()
+        let blocks = blocks.iter().zip(&mut readbacks.blocks);
+        blocks.map(|(block, back)| Ok(from(block).widen(&back.wait(gpu)?))).collect()
     }
 
     /// Outcomes by block, with residuals evaluated on the host where the device rounded them.
@@ -650,9 +614,7 @@ impl<S: System> OuterLoop<S> {
         mut reading: Reading,
     ) -> Result<Vec<Outcome>, Error> {
         if self.variant.real == Real::F32 {
-            let blocks = S::unknowns(case).blocks;
-            let x: Vec<&RealBuffer> = blocks.iter().map(|block| block.x).collect();
-            let x = self.read_blocks(gpu, &x, false)?;
+            let x = self.read_blocks(gpu, &S::unknowns(case).blocks, false)?;
             let residuals = self.system.on_host(gpu, case, 0)?.residuals(&x);
             set_norms(&mut reading.norms, &residuals);
         }
@@ -661,25 +623,23 @@ impl<S: System> OuterLoop<S> {
 
     fn outcomes(&self, status: SolveStatus, reading: &Reading) -> Vec<Outcome> {
         let Reading { control, norms, .. } = reading;
-        let of_others = (1..self.n_blocks).map(|block| unknowns(norms, block, self.n_blocks));
-        let of_others: Vec<u32> = of_others.collect();
-        let outcome = |block: usize| {
+        let of_others = (1..self.n_blocks).map(|block| norms[evaluation_slot(block, self.n_blocks) + 2] as u32);
+        let mut unknowns: Vec<u32> = std::iter::once(0).chain(of_others).collect();
+        unknowns[0] = control.unknowns - unknowns.iter().sum::<u32>();
+        let outcome = |(block, unknowns)| {
             let norm = |norm| norms[norm_slot(block, norm)];
             Outcome {
                 status,
                 iterations: control.iterations,
                 refinements: control.refinements,
-                unknowns: match block {
-                    0 => control.unknowns - of_others.iter().sum::<u32>(),
-                    other => of_others[other - 1],
-                },
+                unknowns,
                 closed_components: reading.closed,
                 residual: relative(norm(RESIDUAL), norm(REFERENCE)),
                 residual_terms: relative(norm(RESIDUAL), norm(TERMS)),
                 verified: true,
             }
         };
-        (0..self.n_blocks).map(outcome).collect()
+        unknowns.into_iter().enumerate().map(outcome).collect()
     }
 
     /// The outer loop on the host: corrections on the device, unknowns and residuals in f64 here.
@@ -696,15 +656,11 @@ impl<S: System> OuterLoop<S> {
         if let Form::Singular = form {
             reading.control.status = STATUS_BREAKDOWN;
         }
-        let args = {
-            let mut readbacks = self.readbacks();
-            let args = readbacks.args.as_mut();
-            let args = args.expect("made with every solver whose outer loop is the host's");
-            let mut recorder = Recorder::new(gpu);
-            recorder.read(S::unknowns(case).blocks[0].args, args);
-            recorder.submit();
-            args.wait(gpu)?
-        };
+        let args = lock(&self.readbacks)
+            .args
+            .as_mut()
+            .expect("made with every solver whose outer loop is the host's")
+            .fetch(gpu, S::unknowns(case).blocks[0].args)?;
         let mut system = self.system.on_host(gpu, case, reading.closed)?;
         let mut x = system.start();
         let mut residuals = system.residuals(&x);
@@ -747,13 +703,10 @@ impl<S: System> OuterLoop<S> {
             }
             reading.control.refinements += 1;
             self.open(gpu, &mut reading, &args, goal);
-            reading.control = self.iterate(gpu, case, times)?;
+            reading.control = self.iterate(gpu, case, None, times)?.control;
             let correction = self.correction(gpu, case, &mut system, (&scaled, 1.0 / size))?;
-            let better: Vec<Vec<f64>> = x
-                .iter()
-                .zip(&correction)
-                .map(|(x, dx)| x.iter().zip(dx).map(|(x, dx)| x + size * dx).collect())
-                .collect();
+            let better = x.iter().zip(&correction).map(|(x, dx)| plus(x, size, dx));
+            let better: Vec<Vec<f64>> = better.collect();
             let after = system.residuals(&better);
             let worst_after = acceptance.worst(&after, &reading.norms);
             let Control { status, refinements, .. } = reading.control;
@@ -795,15 +748,25 @@ impl<S: System> OuterLoop<S> {
         self.state.open(gpu, args);
     }
 
-    /// Submits iterations until the refinement step is over.
-    fn iterate(&self, gpu: &Gpu, case: S::Case<'_>, times: &mut StageTimes) -> Result<Control, Error> {
+    /// Submits iterations until the refinement step is over; reads back the force of an elimination.
+    fn iterate(
+        &self,
+        gpu: &Gpu,
+        case: S::Case<'_>,
+        elimination: Option<Elimination>,
+        times: &mut StageTimes,
+    ) -> Result<Reading, Error> {
         let mut recorder = Recorder::timed(gpu);
         recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
         loop {
-            recorder.stage(Stage::Solve.name(), |pass| self.record_iterations(pass, case));
-            let reading = self.submit(gpu, recorder, case, None, times)?;
+            recorder.stage(Stage::Solve.name(), |pass| {
+                self.record_iterations(pass, case);
+                elimination.iter().for_each(|elimination| elimination.record_force(pass));
+            });
+            let force = elimination.map(|elimination| (elimination.force, elimination.readback));
+            let reading = self.submit(gpu, recorder, case, force, times)?;
             if reading.control.running == 0 {
-                return Ok(reading.control);
+                return Ok(reading);
             }
             recorder = Recorder::timed(gpu);
         }
@@ -818,13 +781,11 @@ impl<S: System> OuterLoop<S> {
         (scaled, unit): (&[Vec<f64>], f64),
     ) -> Result<Vec<Vec<f64>>, Error> {
         let blocks = S::unknowns(case).blocks;
-        let search: Vec<&RealBuffer> = blocks.iter().map(|block| block.search).collect();
         let Form::Schur(elimination) = S::form(case) else {
-            return self.read_blocks(gpu, &search, true);
+            return self.read_blocks(gpu, &blocks, true);
         };
-        let mut correction = self.read_blocks(gpu, &search[..1], true)?;
-        let force = system.coupling(&correction[0]);
-        let forces: Vec<f64> = force.iter().zip(&scaled[1]).map(|(f, r)| f + r).collect();
+        let mut correction = self.read_blocks(gpu, &blocks[..1], true)?;
+        let forces = plus(&system.coupling(&correction[0]), 1.0, &scaled[1]);
         let (velocity, rhs) = elimination.correct(gpu, &forces, 1.0, unit);
         if let Some(rhs) = rhs {
             system.set_forces(rhs);
@@ -837,11 +798,6 @@ impl<S: System> OuterLoop<S> {
 /// Whether the outer loop runs on the host: `mixed` where the device has no f64 to refine in.
 pub(super) fn on_host(solver: &Solver, variant: Variant) -> bool {
     solver.precision == Precision::Mixed && variant.real == Real::F32
-}
-
-/// Unknowns of a block other than the first.
-fn unknowns(norms: &[f64], block: usize, n_blocks: usize) -> u32 {
-    norms[evaluation_slot(block, n_blocks) + 2] as u32
 }
 
 /// Writes the norms of an evaluation on the host.

@@ -5,25 +5,23 @@
 //! on the host. The full S^-1 of y and dv uses the factor in f64, with one exchange of three numbers per node in a refinement step. The
 //! rounding of the wet compliance costs iterations and no accuracy.
 
-use crate::fields::{Coupling, SolidRows, variant};
-use crate::gpu::bind;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant};
+use crate::fields::{Coupling, SolidRows, variant};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant, bind, lock};
 use crate::scene::{Formulation, Solver};
 use crate::step::Stage;
 use crate::wgsl;
 
-use super::Sweep;
 use super::chebyshev::Polynomial;
 use super::contact_rows::HeldSolve;
 use super::coupled::CoupledFields;
-use super::pcg::{Pcg, State, Unknowns};
+use super::pcg::{Pcg, Unknowns};
 use super::pressure::FIRST_SWEEP;
 use super::refine::{Shared, on_host};
 use super::stored_stiffness::{Factor, StoredStiffness};
-use super::two_field::bind_sum;
+use super::two_field::{Operator, bind_sum};
 
 /// Wetted components, at most: a W of 81 MB, which the smallest bindings that adapters offer, 128 MiB, have room for.
 pub const MOST_WETTED: usize = 4500;
@@ -58,11 +56,9 @@ pub(super) struct Schur {
     contact: bool,
     wet: Bound,
     wet_nodes: Buffer<u32>,
-    begin: Bound,
-    /// Wet compliance times J^T s.
-    inverse: [Bound; 1],
-    quads: Bound,
-    alpha: Bound,
+    pub(super) begin: Bound,
+    /// Over the nodes: wet compliance times J^T s.
+    pub(super) operator: Operator,
     force: Bound,
     /// Beta is a sum over the quads of the liquid alone.
     pub(super) pcg: Pcg,
@@ -211,7 +207,7 @@ impl Schur {
         let w = gpu.buffer("condensed.inverse", 9 * room * room)?;
         let y = RealBuffer::new(gpu, "condensed.y", 4 * n, real)?;
         let quads_only = gpu.uniform("condensed.quads", &Coupling::default())?;
-        let sweep: Buffer<Sweep> = gpu.uniform("coupled_solver.sweep", &FIRST_SWEEP)?;
+        let sweep = gpu.uniform("coupled_solver.sweep", &FIRST_SWEEP)?;
         let variant = liquid.variant;
         let level = ("level", shared.level.into());
         let wet = [("wet", (&wet_nodes).into())];
@@ -232,9 +228,11 @@ impl Schur {
             contact: solver.solid_contact,
             wet: bind(gpu, &wgsl!("condensed_wet"), real, wet, &at.by_node())?,
             begin: bind(gpu, &wgsl!("condensed_begin"), variant, begin, &at.by_quad())?,
-            inverse: [bind(gpu, &wgsl!("condensed_apply"), real, inverse, &[])?],
-            quads: bind(gpu, &wgsl!("couple_apply"), variant, quads, &at.by_quad())?,
-            alpha: bind_sum(gpu, at, shared, &quads_only, &wgsl!("couple_alpha"))?,
+            operator: Operator {
+                nodes: vec![bind(gpu, &wgsl!("condensed_apply"), real, inverse, &[])?],
+                quads: bind(gpu, &wgsl!("couple_apply"), variant, quads, &at.by_quad())?,
+                alpha: bind_sum(gpu, at, shared, &quads_only, &wgsl!("couple_alpha"))?,
+            },
             force: bind(gpu, &wgsl!("condensed_force"), variant, force, &at.by_node())?,
             pcg: Pcg::new(gpu, &unknowns, shared.level, shared.state)?,
             wet_readback: Mutex::new(Readback::new(gpu, "condensed.wet", n)?),
@@ -265,15 +263,6 @@ impl Schur {
         }
     }
 
-    pub(super) fn record_begin(&self, pass: &mut Pass, state: &State) {
-        state.in_begin(pass, &self.begin);
-    }
-
-    /// Kernels over the nodes before B s_p, over the wet quads after it, and of the sum.
-    pub(super) fn operator(&self) -> (&[Bound], &Bound, &Bound) {
-        (&self.inverse, &self.quads, &self.alpha)
-    }
-
     /// Wet nodes, at most.
     pub(super) fn room(&self) -> usize {
         self.nodes.len()
@@ -282,7 +271,7 @@ impl Schur {
     /// Wet nodes, at most, for a solve without contact: all that there is room for, or fewer where the two-field form, with this polynomial, is
     /// quick.
     pub(super) fn worth_wetted(&self, polynomial: &Polynomial) -> usize {
-        let room = self.nodes.len();
+        let room = self.room();
         match self.formulation {
             Formulation::Condensed => room,
             Formulation::Auto | Formulation::TwoField if polynomial.falls_short() => room,
@@ -305,10 +294,9 @@ impl Schur {
             record_args(pass);
             pass.dispatch(&self.wet, coupling.n_nodes);
         });
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut wet = self.wet_readback.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut wet = lock(&self.wet_readback);
         recorder.read(&self.wet_nodes, &mut wet);
-        let mut readbacks = stiffness.readbacks();
+        let mut readbacks = lock(&stiffness.readbacks);
         readbacks.record(&mut recorder, at.solids, at.fields);
         let timing = recorder.submit();
         let wet = wet.wait(gpu)?;

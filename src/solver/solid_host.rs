@@ -1,15 +1,15 @@
 //! The residual of the stored system of the solids in f64 on the host, for adapters without f64 and for verdicts on f32 solves.
 
-use crate::fields::SolidSystemBuffers;
-use crate::fields::solid_system::SolidReadbacks;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
 use crate::Error;
-use crate::fields::SolidBuffers;
-use crate::gpu::{Gpu, Recorder};
+use crate::fields::solid_system::SolidReadbacks;
+use crate::fields::{SolidBuffers, SolidSystemBuffers};
+use crate::gpu::{Gpu, Recorder, lock};
 
+use super::plus;
 use super::refine::{HostResidual, HostSystem};
 
 /// Constraint projector of a node, widened: see `shaders/common/freedom.wgsl`.
@@ -41,14 +41,14 @@ impl Free {
 #[derive(Debug)]
 pub(super) struct HostElastic {
     elements: Arc<Vec<[u32; 4]>>,
-    freedom: Vec<Free>,
+    pub(super) freedom: Vec<Free>,
     rotated: Vec<f64>,
     /// zeta_M m of the nodes, then the means of the diagonal of S, kg/s.
     masses: Vec<f64>,
     /// N, and the squared norm of the terms that it sums.
-    rhs: Vec<f64>,
+    pub(super) rhs: Vec<f64>,
     /// Constrained parts of the velocities.
-    constrained: Vec<f64>,
+    pub(super) constrained: Vec<f64>,
     /// Free part of v*.
     guess: Vec<f64>,
 }
@@ -62,8 +62,7 @@ impl HostElastic {
     ) -> Result<HostElastic, Error> {
         let readbacks = buffers.to_host.as_ref();
         let readbacks = readbacks.expect("made with the buffers of every system whose residual the device rounds");
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = readbacks.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut readbacks = lock(readbacks);
         let SolidReadbacks { elements, freedom, rotated, masses, rhs, velocity, guess } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
         recorder.read(&fields.freedom, freedom);
@@ -83,19 +82,6 @@ impl HostElastic {
             constrained: fields.velocity.widen(&velocity.wait(gpu)?),
             guess: buffers.search.widen(&guess.wait(gpu)?),
         })
-    }
-
-    /// The velocities with nothing that is free.
-    pub(super) fn constrained(&self) -> Vec<f64> {
-        self.constrained.clone()
-    }
-
-    pub(super) fn set_rhs(&mut self, rhs: Vec<f64>) {
-        self.rhs = rhs;
-    }
-
-    pub(super) fn n_nodes(&self) -> usize {
-        self.freedom.len()
     }
 
     /// Number of free directions of the nodes.
@@ -161,8 +147,7 @@ impl HostElastic {
 impl HostSystem for HostElastic {
     /// v*, unless zero leaves less of the right-hand side.
     fn start(&self) -> Vec<Vec<f64>> {
-        let pairs = self.constrained.iter().zip(&self.guess);
-        let guess: Vec<f64> = pairs.map(|(constrained, guess)| constrained + guess).collect();
+        let guess = plus(&self.constrained, 1.0, &self.guess);
         let [with, without] = [&guess, &self.constrained].map(|x| self.residual_with(None, x).rr);
         vec![if with < without { guess } else { self.constrained.clone() }]
     }

@@ -2,11 +2,9 @@
 //! is a Chebyshev polynomial in D^-1 S.
 
 use crate::Error;
-use crate::fields::SolidBuffers;
-use crate::fields::SolidSystemBuffers;
 use crate::fields::solid_system::{BODIES, N_LISTS, NODES};
-use crate::gpu::bind;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder, SPLIT, StageTimes};
+use crate::fields::{SolidBuffers, SolidSystemBuffers};
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder, SPLIT, StageTimes, bind};
 use crate::scene::Solver;
 use crate::state::ContactReport;
 use crate::wgsl;
@@ -72,7 +70,7 @@ impl SolidSolver {
         polynomial: &Polynomial,
     ) -> Result<(Outcome, StageTimes), Error> {
         let case = self.case(gpu, buffers, fields, polynomial);
-        let (outcomes, times) = self.outer.solve(gpu, recorder, case)?;
+        let (outcomes, times, _) = self.outer.solve(gpu, recorder, case, None, &mut |_| {})?;
         Ok((outcomes[0], times))
     }
 
@@ -134,9 +132,7 @@ impl SolidSolver {
     ) -> Result<Vec<f64>, Error> {
         let case = self.case(gpu, buffers, fields, polynomial);
         buffers.outer.upload(gpu, r);
-        self.outer.precondition(gpu, case, |elastic, pass, state| {
-            state.in_begin(pass, &elastic.begin);
-        })?;
+        self.outer.precondition(gpu, case, |elastic, pass, state| state.in_begin(pass, &elastic.begin))?;
         buffers.z.download(gpu)
     }
 
@@ -191,13 +187,10 @@ impl Elastic {
         let variant = buffers.variant;
         let direction = [("x", (&buffers.search).into())];
         let tables: [&dyn Arrays; 3] = [buffers, fields, shared];
-        let velocity = &fields.velocity;
+        let products = |x| buffers.bind_products(gpu, fields, x);
         Ok(Elastic {
             guess: buffers.bind_guess(gpu, fields)?,
-            products: [
-                buffers.bind_products(gpu, fields, velocity)?,
-                buffers.bind_products(gpu, fields, &buffers.search)?,
-            ],
+            products: [products(&fields.velocity)?, products(&buffers.search)?],
             residual: buffers.bind_residual(gpu, fields)?,
             begin: bind(gpu, &wgsl!("solid_begin"), variant, [], &tables)?,
             preconditioner: Chebyshev::new(gpu, buffers, polynomial, &buffers.r, &buffers.z)?,

@@ -3,7 +3,7 @@
 //! Constraints of walls, obstacles and pins are applied as on the device: P S P + mu (I - P), with the projector P of each node and the mean mu
 //! of its diagonal. This matrix is regular, and its inverse in the free directions is that of the free part.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::Error;
 use crate::elastic::{Incidence, stiffness_block};
 use crate::fields::{SolidBuffers, SolidSystemBuffers};
-use crate::gpu::{Gpu, Readback, Recorder};
+use crate::gpu::{Gpu, Readback, Recorder, lock};
 use crate::linalg::{Cholesky, Csr, SymbolicCholesky};
 
 use super::solid_host::Free;
@@ -25,7 +25,7 @@ pub(super) struct StoredStiffness {
     elements: Arc<Vec<[u32; 4]>>,
     incidence: Incidence,
     symbolic: OnceLock<SymbolicCholesky>,
-    readbacks: Mutex<StoredReadbacks>,
+    pub(super) readbacks: Mutex<StoredReadbacks>,
 }
 
 /// Transfers of [`Stored`].
@@ -89,11 +89,6 @@ impl StoredStiffness {
         })
     }
 
-    /// The transfers. A panic in another solve leaves nothing half done in them: every use begins with new copies.
-    pub(super) fn readbacks(&self) -> MutexGuard<'_, StoredReadbacks> {
-        self.readbacks.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Reads the arrays and factorises.
     ///
     /// # Errors
@@ -104,7 +99,7 @@ impl StoredStiffness {
         solids: &SolidSystemBuffers,
         fields: &SolidBuffers,
     ) -> Result<Option<Factor<'_>>, Error> {
-        let mut readbacks = self.readbacks();
+        let mut readbacks = lock(&self.readbacks);
         let mut recorder = Recorder::new(gpu);
         readbacks.record(&mut recorder, solids, fields);
         recorder.submit();
@@ -187,14 +182,10 @@ impl StoredStiffness {
 #[derive(Debug)]
 pub(super) struct Factor<'a> {
     cholesky: Cholesky<'a>,
-    projectors: Vec<DMat3>,
+    pub(super) projectors: Vec<DMat3>,
 }
 
 impl Factor<'_> {
-    pub(super) fn projectors(&self) -> &[DMat3] {
-        &self.projectors
-    }
-
     /// The free part of S^-1 y, four numbers per node in and out.
     pub(super) fn solve(&self, y: &[f64]) -> Vec<f64> {
         let nodes = self.projectors.iter().zip(y.chunks_exact(4));

@@ -11,8 +11,7 @@
 use crate::Error;
 use crate::fields::Coupling;
 use crate::fields::coupling::{BODIES, NODES, WET};
-use crate::gpu::bind;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Source};
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Source, bind};
 use crate::scene::{Preconditioner, Solver};
 use crate::wgsl;
 
@@ -39,7 +38,7 @@ pub(super) struct Monolithic {
     /// r . z of wet quads and nodes.
     beta: Bound,
     direction: Bound,
-    operator: Operator,
+    pub(super) operator: Operator,
     update: Bound,
     /// Slots of nodes, solids and wet quads.
     slots: [usize; 3],
@@ -61,14 +60,15 @@ struct Factored {
     z: Bound,
 }
 
+/// q = A s of either form, but for B s_p.
 #[derive(Debug)]
-struct Operator {
-    /// Products with s_v; t; products with s_v - t; q_v.
-    nodes: [Bound; 4],
-    /// q_p + J t in the wet quads.
-    quads: Bound,
+pub(super) struct Operator {
+    /// Over the nodes, before B s_p. In this form: products with s_v; t; products with s_v - t; q_v.
+    pub(super) nodes: Vec<Bound>,
+    /// q_p + J t in the wet quads, after B s_p.
+    pub(super) quads: Bound,
     /// s . q of wet quads and nodes.
-    alpha: Bound,
+    pub(super) alpha: Bound,
 }
 
 impl Monolithic {
@@ -80,21 +80,21 @@ impl Monolithic {
         polynomial: &Buffer<Polynomial>,
         solver: &Solver,
     ) -> Result<Monolithic, Error> {
-        let CoupledFields { liquid, solids, coupling, .. } = at;
+        let CoupledFields { liquid, solids, fields, coupling, .. } = at;
         let variant = liquid.variant;
+        let t = [("x", (&coupling.t).into())];
         let tables: &[&dyn Arrays] = &[coupling, solids, shared];
         let bound = |source| bind(gpu, &source, variant, [], tables);
         Ok(Monolithic {
-            begin: Monolithic::begin(gpu, at, shared)?,
+            begin: [
+                bind(gpu, &wgsl!("two_field_begin"), variant.real, [], tables)?,
+                solids.bind_products(gpu, fields, &coupling.t)?,
+                bind(gpu, &wgsl!("two_field_rhs"), variant.real, [], &at.by_node())?,
+                bind(gpu, &wgsl!("couple_begin"), variant, t, &at.by_quad())?,
+            ],
             preconditioner: match solver.preconditioner {
-                Preconditioner::Multigrid => {
-                    let factored = Factored::new(gpu, at, shared, polynomial)?;
-                    Precondition::Factored(Box::new(factored))
-                }
-                kind => {
-                    let jacobi = Jacobi::new(gpu, at, shared.level, polynomial, kind)?;
-                    Precondition::Diagonal(Box::new(jacobi))
-                }
+                Preconditioner::Multigrid => Precondition::Factored(Factored::new(gpu, at, shared, polynomial)?.into()),
+                kind => Precondition::Diagonal(Jacobi::new(gpu, at, shared.level, polynomial, kind)?.into()),
             },
             beta: bind_sum(gpu, at, shared, &coupling.coupling, &wgsl!("couple_beta"))?,
             direction: bound(wgsl!("two_field_direction"))?,
@@ -102,19 +102,6 @@ impl Monolithic {
             update: bound(wgsl!("two_field_update"))?,
             slots: [NODES, BODIES, WET].map(|list| coupling.slot(list)),
         })
-    }
-
-    fn begin(gpu: &Gpu, at: CoupledFields, shared: &Shared) -> Result<[Bound; 4], Error> {
-        let (variant, t) = (at.liquid.variant, &at.coupling.t);
-        let real = variant.real;
-        let [coupling, solids, ..] = at.by_node();
-        let x = [("x", t.into())];
-        Ok([
-            bind(gpu, &wgsl!("two_field_begin"), real, [], &[coupling, solids, shared])?,
-            at.solids.bind_products(gpu, at.fields, t)?,
-            bind(gpu, &wgsl!("two_field_rhs"), real, [], &at.by_node())?,
-            bind(gpu, &wgsl!("couple_begin"), variant, x, &at.by_quad())?,
-        ])
     }
 
     /// Iterations recorded ahead in a refinement step.
@@ -171,12 +158,6 @@ impl Monolithic {
         pass.dispatch_indirect(&self.direction, &state.gated, self.slots[0]);
     }
 
-    /// Kernels over the nodes before B s_p, over the wet quads after it, and of the sum.
-    pub(super) fn operator(&self) -> (&[Bound], &Bound, &Bound) {
-        let Operator { nodes, quads, alpha } = &self.operator;
-        (nodes, quads, alpha)
-    }
-
     pub(super) fn record_update(&self, pass: &mut Pass, state: &State) {
         state.in_update(pass, &self.update);
     }
@@ -209,7 +190,7 @@ impl Operator {
         let wide = |source| bind(gpu, &source, liquid.variant.real, [], &at.by_node());
         let x = [("x", (&coupling.t).into())];
         Ok(Operator {
-            nodes: [
+            nodes: vec![
                 solids.bind_products(gpu, fields, &solids.search)?,
                 wide(wgsl!("two_field_half"))?,
                 solids.bind_products(gpu, fields, &coupling.difference)?,

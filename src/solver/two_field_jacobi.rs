@@ -2,8 +2,7 @@
 //! Z1^-1 J^T), for the solids diag(Z2 + Z2 Z1^-1 Z2) or the 3x3 blocks of the nodes.
 
 use crate::Error;
-use crate::gpu::bind;
-use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer, bind};
 use crate::scene::Preconditioner;
 use crate::wgsl;
 
@@ -23,9 +22,6 @@ pub(super) struct Jacobi {
     pub(super) polynomial: Chebyshev,
 }
 
-const DIAGONAL: &str = "coupled_solver.diagonal";
-const KIND: &str = "coupled_solver.diagonal_kind";
-
 impl Jacobi {
     /// Compiles and binds.
     pub(super) fn new(
@@ -37,9 +33,9 @@ impl Jacobi {
     ) -> Result<Jacobi, Error> {
         let CoupledFields { liquid, solids, coupling, .. } = at;
         let n_nodes = coupling.n_nodes;
-        let diagonal = RealBuffer::new(gpu, DIAGONAL, 8 * n_nodes, liquid.variant.real)?;
+        let diagonal = RealBuffer::new(gpu, "coupled_solver.diagonal", 8 * n_nodes, liquid.variant.real)?;
         let blocks = u32::from(kind == Preconditioner::BlockJacobi);
-        let kind = gpu.uniform(KIND, &[blocks, 0, 0, 0])?;
+        let kind = gpu.uniform("coupled_solver.diagonal_kind", &[blocks, 0, 0, 0])?;
         let variant = liquid.variant;
         let own = [("kind", (&kind).into()), ("diagonal", (&diagonal).into())];
         let quads = [("level", level.into()), ("z", (&liquid.z_next).into())];

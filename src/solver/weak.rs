@@ -2,10 +2,8 @@
 //! solves; this file has the terms that couple them.
 
 use crate::Error;
-use crate::fields::SolidBuffers;
-use crate::fields::{CouplingBuffers, SolidSystemBuffers, SolverBuffers};
-use crate::gpu::bind;
-use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder};
+use crate::fields::{CouplingBuffers, SolidBuffers, SolidSystemBuffers, SolverBuffers};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer, Recorder, bind};
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -59,10 +57,9 @@ impl Weak {
         let at_components = gpu.at(Stage::ClosedComponents.name());
         let against = |source, own| bind(&at_components, &source, real, own, &[coupling, liquid]);
         let at_solve = gpu.at(Stage::Solve.name());
-        let tables: [&dyn Arrays; 3] = [coupling, solids, liquid];
         Ok(Weak {
             against: [against(wgsl!("couple_keep"), before)?, against(wgsl!("couple_residual"), before)?],
-            push: bind(&at_solve, &wgsl!("weak_push"), real, pushed, &tables)?,
+            push: bind(&at_solve, &wgsl!("weak_push"), real, pushed, &[coupling, solids, liquid])?,
             n_quads: coupling.size.quads,
             n_nodes: coupling.n_nodes,
         })

@@ -381,7 +381,7 @@ fn without_a_factor_the_form_is_two_field() {
         let device = DeviceScene::new(gpu, &scene, &system, &solver).unwrap();
         device.reset();
         let outcome = device.solve().unwrap();
-        assert_eq!(outcome.status, status, "{outcome:?}");
+        assert_eq!(outcome.parts[0].status, status, "{outcome:?}");
         let (_, velocity) = device.answer().unwrap();
         let moves = velocity.as_flattened().iter().any(|v| *v != 0.0);
         assert_eq!(moves, status == SolveStatus::Converged, "{outcome:?}");

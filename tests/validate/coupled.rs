@@ -250,7 +250,7 @@ fn stored(sheet: &mut Sheet) {
                     Precision::F32 => [3e-5, 3e-5],
                     _ => [1e-8, 1e-8],
                 };
-                let (status, iterations) = (outcome.status, outcome.iterations);
+                let (status, iterations) = (outcome.parts[0].status, outcome.parts[0].iterations);
                 let ended = format!("{} after {iterations} iterations", status.name());
                 let what_ended = format!("{what}: ended");
                 if precision == Precision::Mixed {

@@ -33,7 +33,8 @@ impl From<&Outcome> for Ended {
 
 impl From<&CoupledOutcome> for Ended {
     fn from(outcome: &CoupledOutcome) -> Ended {
-        Ended { status: outcome.status, iterations: outcome.iterations, residuals: outcome.residuals }
+        let [p, v] = &outcome.parts;
+        Ended { residuals: [p.residual, v.residual], ..Ended::from(p) }
     }
 }
 

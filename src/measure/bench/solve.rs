@@ -261,7 +261,11 @@ impl DeviceSystem for DeviceScene<'_> {
 
     fn set_up_and_solve(&self, _: &Gpu) -> Result<Solved, Error> {
         let outcome = self.solve()?;
-        Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: outcome.condensed })
+        Ok(Solved {
+            ended: Ended::from(&outcome),
+            refinements: outcome.parts[0].refinements,
+            condensed: outcome.condensed,
+        })
     }
 
     fn buffers(&self) -> &SolverBuffers {
