@@ -6,7 +6,6 @@ use crate::Error;
 use crate::fields::{SolidBuffers, SolidSystemBuffers};
 use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer, bind};
 use crate::grid::Layout;
-use crate::step::Stage;
 use crate::wgsl;
 
 /// The distance to the obstacles.
@@ -16,16 +15,6 @@ pub struct ObstacleField<'a> {
     pub level: &'a Buffer<Layout>,
     /// Cell centres, m.
     pub solid_distance: &'a Buffer<f32>,
-}
-
-/// The kernels.
-#[derive(Debug)]
-pub(super) struct SolidContacts {
-    /// Contacts of the nodes: with walls, then with obstacles, then with moving ones.
-    touch: Vec<Bound>,
-    hold: Bound,
-    pub(super) search: ContactSearch,
-    n_nodes: usize,
 }
 
 /// The active-set search from one solve to the next; the method is documented in the twin.
@@ -99,42 +88,25 @@ impl ContactSearch {
     }
 }
 
-impl SolidContacts {
-    pub(super) fn new(
-        gpu: &Gpu,
-        buffers: &SolidSystemBuffers,
-        fields: &SolidBuffers,
-        obstacles: Option<ObstacleField>,
-    ) -> Result<SolidContacts, Error> {
-        let gpu_at = &gpu.at(Stage::RightHandSide.name());
-        let variant = buffers.variant;
-        let bound = |source| bind(gpu_at, &source, variant, [], &[buffers, fields]);
-        let mut touch = Vec::new();
-        if !buffers.rows_on_host {
-            touch.push(bound(wgsl!("solid_contacts"))?);
-            if let Some(ObstacleField { level, solid_distance }) = obstacles {
-                let own = [("level", level.into()), ("distances", solid_distance.into())];
-                touch.push(bind(gpu_at, &wgsl!("obstacle_contacts"), variant, own, &[buffers, fields])?);
-            }
-            if fields.plan.n_moving > 0 {
-                touch.push(bound(wgsl!("moving_contacts"))?);
-            }
+/// Binds the contacts of the nodes: with walls, then with obstacles, then with moving ones; none where the host has the rows.
+pub(super) fn bind_touch(
+    gpu: &Gpu,
+    buffers: &SolidSystemBuffers,
+    fields: &SolidBuffers,
+    obstacles: Option<ObstacleField>,
+) -> Result<Vec<Bound>, Error> {
+    let variant = buffers.variant;
+    let bound = |source| bind(gpu, &source, variant, [], &[buffers, fields]);
+    let mut touch = Vec::new();
+    if !buffers.rows_on_host {
+        touch.push(bound(wgsl!("solid_contacts"))?);
+        if let Some(ObstacleField { level, solid_distance }) = obstacles {
+            let own = [("level", level.into()), ("distances", solid_distance.into())];
+            touch.push(bind(gpu, &wgsl!("obstacle_contacts"), variant, own, &[buffers, fields])?);
         }
-        Ok(SolidContacts {
-            touch,
-            hold: bound(wgsl!("hold_nodes"))?,
-            search: ContactSearch::new(gpu, buffers, fields, &buffers.rhs)?,
-            n_nodes: buffers.sizes.n_nodes as usize,
-        })
-    }
-
-    pub(super) fn record_touch(&self, pass: &mut Pass) {
-        for bound in &self.touch {
-            pass.dispatch(bound, self.n_nodes);
+        if fields.plan.n_moving > 0 {
+            touch.push(bound(wgsl!("moving_contacts"))?);
         }
     }
-
-    pub(super) fn record_hold(&self, pass: &mut Pass) {
-        pass.dispatch(&self.hold, self.n_nodes);
-    }
+    Ok(touch)
 }

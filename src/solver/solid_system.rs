@@ -13,7 +13,7 @@ use crate::wgsl;
 
 use super::Level;
 use super::pcg::Block;
-use super::solid_contacts::{ContactSearch, ObstacleField, SolidContacts};
+use super::solid_contacts::{ContactSearch, ObstacleField, bind_touch};
 
 /// Scalar types of outer loop and corrections: conjugate gradients are as precise as the residual, and only their preconditioner is not.
 pub(super) fn corrections(variant: Variant) -> Variant {
@@ -72,7 +72,10 @@ pub struct SolidSystem {
     blocks: Bound,
     diagonals: Bound,
     right_hand_side: Bound,
-    contacts: SolidContacts,
+    /// Contacts of the nodes.
+    touch: Vec<Bound>,
+    hold: Bound,
+    search: ContactSearch,
     n_entries: usize,
     n_nodes: usize,
 }
@@ -95,7 +98,9 @@ impl SolidSystem {
             blocks: bind(&at_matrices, &wgsl!("solid_blocks"), variant, [], &tables)?,
             diagonals: bind(at_right_hand_side, &wgsl!("solid_diagonals"), variant, [], &tables)?,
             right_hand_side: bind(at_right_hand_side, &right_hand_side, variant, forces, &tables)?,
-            contacts: SolidContacts::new(gpu, buffers, fields, obstacles)?,
+            touch: bind_touch(at_right_hand_side, buffers, fields, obstacles)?,
+            hold: bind(at_right_hand_side, &wgsl!("hold_nodes"), variant, [], &tables)?,
+            search: ContactSearch::new(gpu, buffers, fields, &buffers.rhs)?,
             n_entries: buffers.sizes.n_entries as usize,
             n_nodes: buffers.sizes.n_nodes as usize,
         })
@@ -113,18 +118,20 @@ impl SolidSystem {
 
     /// Records the constraints at the start, from the right-hand side.
     pub fn record_contacts(&self, pass: &mut Pass) {
-        self.contacts.record_touch(pass);
+        for bound in &self.touch {
+            pass.dispatch(bound, self.n_nodes);
+        }
         self.record_hold(pass);
     }
 
     /// Records constrained velocities and the blocks on the diagonal: before every solve.
     pub fn record_hold(&self, pass: &mut Pass) {
-        self.contacts.record_hold(pass);
+        pass.dispatch(&self.hold, self.n_nodes);
         pass.dispatch(&self.diagonals, self.n_nodes);
     }
 
     /// The search for what walls and obstacles hold.
     pub fn search(&self) -> &ContactSearch {
-        &self.contacts.search
+        &self.search
     }
 }
