@@ -37,7 +37,7 @@ const STEPS: usize = 2;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoupledOutcome {
     /// Results of the liquid, with active cells, and of the solids, with free directions of nodes. Both have the status and all iterations
-    /// of the solve.
+    /// of the solve; enclosed components are not counted.
     pub parts: [Outcome; 2],
     /// Whether corrections had the Schur-complement form.
     pub condensed: bool,
