@@ -1,5 +1,5 @@
 // advect_velocity by MacCormack's method (Selle et al. 2008), after carry_velocity: u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
-// where this is within the range of the taps of a(x), else limited. With cut cells u are the blended velocities.
+// where this is within the range of the taps of a(x), else limited (see the twin). With cut cells u are the blended velocities.
 // One thread per quad of the band and its 12 minus faces. a is 0 outside the band.
 // level, step, level_step. band_args, band_list, band_flags: the band. velocity: faces, m/s (velocity_quads: the same).
 // carried_velocity: a, m/s. velocity_next: departure points as words of carry_velocity in, u* out, m/s.
@@ -27,7 +27,7 @@
 
 // Overshoot of a relaxed limit beyond the taps, over their range.
 const OVERSHOOT = 0.5;
-// Courant number up to which limits are relaxed entirely; from twice that they are not.
+// Courant number up to which the relaxation is 1. From there it falls to 0 at twice this.
 const RELAXED = 1.5;
 
 // a of faces of an axis by their index within its section, m/s.
@@ -71,6 +71,9 @@ fn corrected(axis: u32, face: u32, word: u32, at: vec3<f32>, here: vec3<f32>) ->
         return result;
     }
     let relaxation = clamp(2.0 - level_step.courant / RELAXED, 0.0, 1.0);
+    if relaxation == 0.0 {
+        return first_order;
+    }
     let beyond = relaxation * OVERSHOOT * (range.y - range.x);
     return mix(first_order, clamp(result, range.x - beyond, range.y + beyond), relaxation);
 }

@@ -1,5 +1,5 @@
-// advect_velocity with a level and sources, first: sets the velocities of the faces of running sources to those before half a sub-step of
-// gravity (reason in the twin, reference/exchange.rs). One thread per face.
+// advect_velocity with a level and sources, first: subtracts half a sub-step of gravity from the velocities of the faces of running sources
+// (reason in the twin, reference/exchange.rs). One thread per face.
 // level, step. source_step: state of the sources. faces: see source_face. open: apertures of all faces. velocity: u, m/s; in place.
 #import dispatch
 #import layout

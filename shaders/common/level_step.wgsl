@@ -1,4 +1,4 @@
-// Parameters of a sub-step for the markers of a level: fields::LevelStep on the host.
+// Parameters of a sub-step for a level: fields::LevelStep on the host.
 struct LevelStep {
     // Seed of the jitter, and number of the sub-step.
     seed: u32,
@@ -17,5 +17,5 @@ struct LevelStep {
 
 // Largest shift of the level outwards, cells: largest_shift of the twin, reference/volume_shift.rs.
 fn largest_shift(courant: f32) -> f32 {
-    return 0.16 * max(courant * courant / 9.0, 1.0);
+    return min(0.16 * max(courant * courant / 9.0, 1.0), 2.0);
 }

@@ -8,7 +8,7 @@ use crate::state::State;
 
 use super::LiquidPlan;
 
-/// Parameters of a sub-step for the markers of a level.
+/// Parameters of a sub-step for a level.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct LevelStep {
@@ -44,7 +44,7 @@ arrays! {
             padded: Padded,
         }
         arrays {
-            /// Parameters of the sub-step for the markers.
+            /// Parameters of the sub-step.
             uniform level_step: LevelStep [LevelStep { capacity: plan.n_markers as u32, ..LevelStep::default() }] as "level.step",
             /// phi*: the level after its transport. During `advect_level` the departure points (`common/departure_words.wgsl`).
             pub array carried_level: f32 [padded.len()],

@@ -216,9 +216,9 @@ impl Arrival {
     }
 }
 
-/// Locks, also after a panic of another thread. It leaves nothing half done in read-backs: every use begins with new copies.
-pub(crate) fn lock<T>(readbacks: &Mutex<T>) -> MutexGuard<'_, T> {
-    readbacks.lock().unwrap_or_else(PoisonError::into_inner)
+/// Locks, also after a panic of another thread. Use it for data that such a panic leaves complete or that the next use overwrites.
+pub(crate) fn lock<T>(data: &Mutex<T>) -> MutexGuard<'_, T> {
+    data.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A host-visible copy of (the start of) a buffer, filled by [`Recorder::read`] and fetched after the submission.

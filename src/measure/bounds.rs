@@ -29,34 +29,34 @@ fn end_error(grid: &Grid, velocity: &[Vec<f64>; 3], given: f64, dt: f64) -> f64 
 
 /// Error of face velocities (m/s) after advection over dt (s), with the apertures `open`. The blended neighbour velocity of small-aperture faces is a
 /// quotient of two sums of up to 26 products with weights that are differences from 0.2, which f32 does not represent, and a share of it by such a
-/// sum: less than 160 roundings of the largest velocity. Small-aperture faces may mix both values: 12 roundings. Faces of sources have 2.
-pub fn advection_error(grid: &Grid, open: &[Vec<f64>; 3], velocity: &[Vec<f64>; 3], dt: f64) -> f64 {
+/// sum: less than 160 roundings of the largest velocity. Small-aperture faces may mix both values: 12 roundings. `given`: error of the velocities.
+pub fn advection_error(grid: &Grid, open: &[Vec<f64>; 3], (velocity, given): (&[Vec<f64>; 3], f64), dt: f64) -> f64 {
     let rounding = EPS * reference::max_speed(velocity);
-    let plain = trace_error(grid, velocity, 2.0 * rounding, dt);
+    let plain = trace_error(grid, velocity, given, dt);
     let mut apertures = open.iter().flatten();
     if !apertures.any(|&open| reference::is_sliver(open)) {
         return plain;
     }
     let blended = reference::shown_to_whole(grid, open, velocity);
-    trace_error(grid, &blended, 160.0 * rounding, dt).max(plain) + 12.0 * rounding
+    trace_error(grid, &blended, given + 160.0 * rounding, dt).max(plain) + 12.0 * rounding
 }
 
 /// Error of face velocities (m/s) after MacCormack's method, where the limit decides alike. `carried`: after the first order, whose error
 /// is that of [`advection_error`]. The correction has half the errors of the velocity and of a sample of `carried`, and three roundings of
-/// values up to twice the speed. A relaxed limit has at most twice the error of the velocity, which is less; with its blend it adds 8 roundings
-/// of such values.
+/// values up to twice the speed. A relaxed limit has less: at most twice the error of the velocity. Limit and blend add 8 roundings of such
+/// values.
 pub fn maccormack_error(
     grid: &Grid,
     open: &[Vec<f64>; 3],
-    velocity: &[Vec<f64>; 3],
+    (velocity, given): (&[Vec<f64>; 3], f64),
     carried: &[Vec<f64>; 3],
     dt: f64,
 ) -> f64 {
-    let first = advection_error(grid, open, velocity, dt);
+    let first = advection_error(grid, open, (velocity, given), dt);
     let speed = reference::max_speed(velocity);
     let mut apertures = open.iter().flatten();
     let cut = apertures.any(|&open| reference::is_sliver(open));
-    let given = if cut { 160.0 } else { 2.0 } * EPS * speed;
+    let given = given + if cut { 160.0 * EPS * speed } else { 0.0 };
     let blended = reference::shown_to_whole(grid, open, velocity);
     let end = end_error(grid, &blended, given, dt);
     let returned = first + sample_error(speed, steepest(grid, carried), end);

@@ -10,8 +10,8 @@
 //! a(x) = u(x - dt u),    u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
 //! ```
 //!
-//! A u* beyond the range of the taps of a(x) is limited: clamped to the range, widened on each side by r/2 of it, and blended with the
-//! part 1 - r of a(x). The relaxation r is 1 in sub-steps with a [Courant number](super::TimeStep::courant) of up to 1.5, and 0 from 3,
+//! A u* beyond the range of the taps of a(x) is limited. First it is clamped to the range, which is widened on each side by r/2 of it.
+//! Then the part 1 - r of a(x) is blended in. The relaxation r is 1 in sub-steps with a [Courant number](super::TimeStep::courant) of up to 1.5, and 0 from 3,
 //! where relaxed limits lose liquid. With r = 0 maxima of the speed shrink: a jet of four cells that a plate turns loses 10 % of its momentum.
 //!
 //! Extrapolated velocities are included: without them a wave of 20 cells loses four times as much. Small-aperture faces have
@@ -26,7 +26,7 @@ use crate::grid::{Axis, Grid};
 
 /// Overshoot of a relaxed limit beyond the taps, over their range.
 const OVERSHOOT: f64 = 0.5;
-/// Courant number up to which limits are relaxed entirely; from twice that they are not.
+/// Courant number up to which r is 1. From there it falls to 0 at twice this.
 const RELAXED: f64 = 1.5;
 /// Shift of the departure points that selects the taps, cells. Departure points are often on the border between two sets of taps, where a
 /// rounding must not choose. It exceeds the roundings of f32 on grids of up to 2,000 cells.

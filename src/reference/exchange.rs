@@ -173,9 +173,9 @@ pub fn hold_faces(taps: &SourcesAndSinks, open: &[Vec<f64>; 3], running: u32, ve
     }
 }
 
-/// In `advect_velocity` of liquid with a level, first: sets the velocities (m/s) on the faces of running sources to those before half a sub-step of
-/// gravity, `fall` = dt g / 2. Liquid leaves a source at any time of the sub-step, on average at half of it, and `forces` adds the gravity
-/// of all of it. Closed faces are unchanged.
+/// In `advect_velocity` of liquid with a level, first: subtracts half a sub-step of gravity, `fall` = dt g / 2, from the velocities (m/s) of the
+/// faces of running sources. For `forces` then adds that of the whole sub-step, and liquid leaves a source in the middle of it on average.
+/// Closed faces are unchanged.
 pub fn rewind_sources(
     taps: &SourcesAndSinks,
     open: &[Vec<f64>; 3],

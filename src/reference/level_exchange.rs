@@ -50,7 +50,7 @@ pub fn outflow(
 }
 
 /// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What a shift of the level may
-/// have left there, `largest` ([`largest_shift`](super::largest_shift)), does not count; the rest of initial liquid does.
+/// have left there, `largest` (0 in the first sub-step, then [`largest_shift`](super::largest_shift)), does not count.
 pub fn sunk_volumes(
     taps: &SourcesAndSinks,
     open_volumes: &[f64],

@@ -1,7 +1,7 @@
 //! `volume_shift`: moves the level of each liquid component towards its target volume.
 //!
 //! ```text
-//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, -h / 4, h),   h = 0.16 max(1, C^2 / 9),
+//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, -h / 4, h),   h = min(0.16 max(1, C^2 / 9), 2),
 //! A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
 //! phi -= h_k
 //! ```
@@ -19,6 +19,8 @@ use crate::grid::Grid;
 pub(super) const DEAD_BAND: f64 = 0.005;
 /// Largest shift outwards in a sub-step, cells.
 const LARGEST: f64 = 0.16;
+/// Bound of the same in sub-steps of any length, cells: air further from liquid does not move.
+const MOST: f64 = 2.0;
 /// Largest shift inwards over that outwards. Twice that erases films thinner than a cell.
 const INWARDS: f64 = 0.25;
 /// Least A_k, cells: a smaller surface is rounding.
@@ -28,7 +30,7 @@ const LONG: f64 = 3.0;
 
 /// Largest shift outwards in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
 pub fn largest_shift(courant: f64) -> f64 {
-    LARGEST * (courant / LONG).powi(2).max(1.0)
+    (LARGEST * (courant / LONG).powi(2).max(1.0)).min(MOST)
 }
 
 /// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s; `largest` from [`largest_shift`]. Returns the shifts, cells.

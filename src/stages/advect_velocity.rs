@@ -9,7 +9,7 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage: `velocity` to `velocity_next` on the band. Afterwards `velocity` contains blended velocities on
-/// small-aperture faces and, with a level, rewound ones on those of `sources`.
+/// small-aperture faces and, with a level, those of `sources` less half a sub-step of gravity.
 pub fn advect_velocity(
     gpu: &Gpu,
     liquid: &LiquidBuffers,

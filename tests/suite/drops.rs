@@ -1,4 +1,4 @@
-//! Random drops of convex and concave bodies onto each other: nothing passes, and nothing is thrown off.
+//! Random drops of convex and concave bodies onto each other: nothing passes, and nothing gains energy.
 
 use std::fmt::Write;
 use std::fs;
@@ -24,8 +24,8 @@ const END: f64 = 0.5;
 pub(crate) const SMALL_OVERLAP: f64 = 5e-4;
 /// Overlap that none exceeds, m: a quarter of an element.
 pub(crate) const QUARTER: f64 = 0.0125;
-/// Energy of a drop that none exceeds, over that after the first sub-step. Positions near another body are half a sub-step behind the
-/// velocities, which is up to 5 % of it while they fall.
+/// Energy that no drop exceeds, over its energy after the first sub-step. Near another body the positions of a falling one are half a sub-step
+/// behind its velocities. This adds up to 5 %.
 pub(crate) const MOST_ENERGY: f64 = 1.05;
 /// Bodies at this distance have met, m.
 const NEAR: f64 = 1e-3;
@@ -63,9 +63,9 @@ pub(crate) struct Drop {
     pub(crate) crushed: bool,
     /// Largest depth of a point of one surface in the other body, m.
     pub(crate) overlap: f64,
-    /// Of a node, m/s.
+    /// Largest speed of a node, m/s.
     pub(crate) fastest: f64,
-    /// Largest energy over that after the first sub-step.
+    /// Largest energy over the energy after the first sub-step.
     pub(crate) energy: f64,
     pub(crate) sub_steps: u32,
     /// Sub-steps with unsettled contacts.

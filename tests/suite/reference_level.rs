@@ -113,6 +113,28 @@ fn maccormack_is_exact_for_linear_velocities_that_stay() {
     assert_eq!(cut.open[0].len(), grid.n_faces(Axis::X));
 }
 
+/// Half a cell in front of a step, the correction of 0.1 is -0.45. The taps are 0 and 0.2.
+#[test]
+fn corrections_beyond_the_taps_are_limited() {
+    let grid = grid([12, 12, 12]);
+    let unit = 0.01;
+    let u = faces(&grid, |x| {
+        let v = if x.x < 6.0 {
+            0.0
+        } else if x.x < 7.0 {
+            0.2
+        } else {
+            4.0
+        };
+        DVec3::new(DX, 0.0, unit * v)
+    });
+    let open = Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]);
+    for (courant, limited) in [(1.0, -0.1), (1.5, -0.1), (2.25, 0.025), (3.0, 0.1), (8.0, 0.1)] {
+        let after = advect_velocity_maccormack(&grid, &open, &u, &Ballistic::NONE, [0.5, courant]);
+        close(after[2][grid.face(Axis::Z, [6, 6, 6])], unit * limited, 1e-12);
+    }
+}
+
 #[test]
 fn markers_count_to_the_last_place() {
     let grid = grid([6, 6, 6]);

@@ -81,9 +81,9 @@ fn water_falls_off_a_ceiling() {
         let heights = heights(&simulation.state().unwrap());
         heights.iter().filter(|&&y| y > top).count()
     });
-    // The last drops may still be falling past.
-    assert!(without > 20 * walls.max(from_air), "markers in the top cells: {walls}, {from_air}, {without} without");
     assert!(without > 0, "the wave reaches the ceiling");
+    // Single drops may still be near the ceiling.
+    assert!(without > 20 * walls.max(from_air), "markers in the top cells: {walls}, {from_air}, {without} without");
 }
 
 /// A plate with its lower side in water rises by 1.5 m/s; water has no reason to follow.

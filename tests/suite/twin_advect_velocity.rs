@@ -81,9 +81,9 @@ fn assert_carried(gpu: &Gpu, mut case: Case, courant: f64) -> [usize; 2] {
     let first = |of: &Ballistic| reference::advect_velocity(grid, &full, &shown, of, case.dt);
     let (twin, twin_first) = (carried(&ballistic), first(&ballistic));
     let (relaxed, relaxation) = (limited(&ballistic, 0.0), (2.0 - courant / 1.5).clamp(0.0, 1.0));
-    let first_bound = advection_error(grid, open, velocity, case.dt);
+    let first_bound = advection_error(grid, open, (velocity, 0.0), case.dt);
     let bound = match level {
-        Some(_) => maccormack_error(grid, open, velocity, &twin_first, case.dt),
+        Some(_) => maccormack_error(grid, open, (velocity, 0.0), &twin_first, case.dt),
         None => first_bound,
     };
     // Departure points, off by up to 1e-4 cells, may be on either side of a border of what is ballistic.

@@ -273,7 +273,7 @@ fn push_on_plate(frames: u32) -> f64 {
     impulse / 0.5
 }
 
-/// Largest height of the middle of an upward jet above its nozzle, m. Gravity leans, so that it does not fall back on itself.
+/// Largest height of the middle of an upward jet above its nozzle, m. Gravity is inclined, so that the jet does not fall back on itself.
 fn rise_of_jet(frames: u32) -> f64 {
     let text = format!(
         "[domain]\nsize = [1, 0.75, 0.25]\ncells = [64, 48, 16]\ngravity = [4, -{GRAVITY}, 0]\nopen = [\"+x\", \"-y\", \"-z\", \"+z\"]\n\

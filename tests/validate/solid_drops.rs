@@ -30,7 +30,7 @@ fn pass(number: u64, sheet: &mut Sheet) {
     let sub_steps: u32 = drops.iter().map(|drop| drop.sub_steps).sum();
     sheet.at_most(&format!("{what}: largest overlap, m"), deepest, QUARTER);
     sheet.at_most(&format!("{what}: deeper than 0.5 mm"), share(deep, whole.len()), 0.1);
-    sheet.at_most(&format!("{what}: largest energy over the first"), energy, MOST_ENERGY);
+    sheet.at_most(&format!("{what}: largest energy / first energy"), energy, MOST_ENERGY);
     sheet.at_least(&format!("{what}: bodies met"), share(met, drops.len()), 0.9);
     sheet.at_least(&format!("{what}: no element turned inside out"), share(whole.len(), drops.len()), 0.8);
     sheet.info(&format!("{what}: fastest node, m/s"), format!("{fastest:.1}"));

@@ -152,7 +152,9 @@ impl SubStep<'_> {
         results.first_fill = fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
         let apertures = &self.boundary.cut_cells().open;
         let left = outflow(grid, open, apertures, &before.velocity, &level, dt);
-        let sunk = sunk_volumes(&model.taps, &open_volumes, [&level, &carried], largest);
+        // Initial liquid in a sink sinks in the first sub-step.
+        let left_there = if before.step == 0 { 0.0 } else { largest };
+        let sunk = sunk_volumes(&model.taps, &open_volumes, [&level, &carried], left_there);
         empty_level_sinks(&model.taps, &mut carried);
         results.carried = carried;
         for (volumes, removed) in [left, sunk].iter().zip(&mut results.removed) {
@@ -214,7 +216,7 @@ impl SubStep<'_> {
         };
         let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
         let old =
-            Before { label: &before.component, velocity: &self.carrier(), ballistic: self.ballistic(&filled_before) };
+            Before { label: &before.component, velocity: &before.velocity, ballistic: self.ballistic(&filled_before) };
         let mut origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
         hold_source_origins(grid, &model.taps, self.sources, &before.component, &mut origins);
         let volume_0 = &self.results.level.volume_before;
@@ -276,7 +278,7 @@ impl SubStep<'_> {
             levels,
             &level.excess,
             [self.sources.seed, self.sources.step],
-            &self.carrier(),
+            &self.before.velocity,
             &mut markers,
         );
         self.after.put_markers(markers);

@@ -134,26 +134,19 @@ impl SubStep<'_> {
 
     pub(super) fn advect_velocity(&mut self) {
         let open = &self.boundary.cut_cells().open;
-        let velocity = &*self.carrier();
         let (filled, grid) = (self.before.filled(), &self.model.grid);
+        let mut velocity = Cow::Borrowed(&self.before.velocity);
+        if self.model.effects.maccormack && self.model.effects.sources {
+            let fall = 0.5 * self.time_step.dt * self.model.scene.domain.gravity;
+            rewind_sources(&self.model.taps, open, self.sources.running, fall, velocity.to_mut());
+        }
         let ballistic = self.ballistic(&filled);
         let TimeStep { dt, courant, .. } = self.time_step;
         self.after.velocity = if self.model.effects.maccormack {
-            advect_velocity_maccormack(grid, open, velocity, &ballistic, [dt, courant])
+            advect_velocity_maccormack(grid, open, &velocity, &ballistic, [dt, courant])
         } else {
-            advect_velocity(grid, open, velocity, &ballistic, dt)
+            advect_velocity(grid, open, &velocity, &ballistic, dt)
         };
-    }
-
-    /// Face velocities from `advect_velocity` to `write_back`, m/s: with a level, sources are [rewound](rewind_sources).
-    pub(super) fn carrier(&self) -> Cow<'_, [Vec<f64>; 3]> {
-        let (model, running) = (self.model, self.sources.running);
-        let mut carrier = Cow::Borrowed(&self.before.velocity);
-        if model.effects.maccormack && model.effects.sources {
-            let fall = 0.5 * self.time_step.dt * model.scene.domain.gravity;
-            rewind_sources(&model.taps, &self.boundary.cut_cells().open, running, fall, carrier.to_mut());
-        }
-        carrier
     }
 
     /// Liquid that touched nothing in the last solve.

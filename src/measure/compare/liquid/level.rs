@@ -167,7 +167,8 @@ impl LiquidComparison<'_> {
     /// and a unit of the sums; through a face that of a quotient and five products.
     fn exchange_level(&mut self, after: &LiquidSnapshot, level: &[f64], (twins, bound): (&mut [Vec<f64>], f64)) {
         let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
-        let (one, most) = (grid.cell_volume(), reference::largest_shift(self.courant));
+        let one = grid.cell_volume();
+        let most = if self.running.step == 0 { 0.0 } else { reference::largest_shift(self.courant) };
         let sums: Vec<[f64; 2]> = twins
             .iter_mut()
             .map(|twin| {
@@ -202,12 +203,12 @@ impl LiquidComparison<'_> {
         &mut self,
         after: &LiquidSnapshot,
         (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3]),
-        velocity: &[Vec<f64>; 3],
+        (velocity, given): (&[Vec<f64>; 3], f64),
     ) {
         let (grid, dt) = (self.grid, self.dt());
         let ballistic = self.ballistic();
         let carried = reference::advect_velocity(&grid, open, velocity, &ballistic, dt);
-        let bound = maccormack_error(&grid, open, velocity, &carried, dt);
+        let bound = maccormack_error(&grid, open, (velocity, given), &carried, dt);
         let times = [dt, self.courant];
         let advect = |velocity: &_, near: &_| reference::advect_velocity_maccormack(&grid, open, velocity, near, times);
         let mut others: Vec<[Vec<f64>; 3]> =

@@ -349,13 +349,16 @@ impl<'a> LiquidComparison<'a> {
         let dt = self.dt();
         let mut velocity = self.before.velocity.clone();
         let maccormack = Effects::of(self.scene).maccormack;
-        if maccormack {
+        // A velocity of a source is rounded, and so are product and difference.
+        let mut given = 0.0;
+        if maccormack && !self.taps.faces.is_empty() {
             let fall = 0.5 * dt * self.gravity();
+            given = 3.0 * EPS * (reference::max_speed(&velocity) + fall.abs().max_element());
             reference::rewind_sources(&self.taps, &self.cut.open, self.running.running, fall, &mut velocity);
         }
         let velocity = &velocity;
         let open = &open_to_advection(&self.cut.open, |axis, face| after.face_band[axis.index()][face]);
-        let bound = advection_error(&self.grid, open, velocity, dt);
+        let bound = advection_error(&self.grid, open, (velocity, given), dt);
         let ballistic = self.ballistic();
         let advected = |of: &Ballistic| {
             if maccormack {
@@ -366,7 +369,7 @@ impl<'a> LiquidComparison<'a> {
         };
         let twin = advected(&ballistic);
         if maccormack {
-            self.maccormack(after, (&twin, open), velocity);
+            self.maccormack(after, (&twin, open), (velocity, given));
             return;
         }
         let others: Vec<_> = self.near_ballistic().map(|other| advected(&other)).collect();
