@@ -6,7 +6,7 @@ use super::statistics::Spread;
 use super::table::{Table, columns, row};
 use super::{Bench, Case, Listener, Machine, Results, Run, Settings};
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Readback, Real, RealBuffer, Recorder};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder};
 
 columns! {
     DEVICE {
@@ -89,13 +89,20 @@ pub(super) fn copying(gpu: &Gpu, n: usize) -> Result<(Bound, Buffer<f32>), Error
     Ok((kernel.bind(gpu, &buffers, &[])?, target))
 }
 
-/// Seconds of `n` dispatches in one submission, to the end of their work.
-pub(super) fn dispatches(gpu: &Gpu, n: usize, mut record: impl FnMut(&mut crate::gpu::Pass)) -> Result<f64, Error> {
+/// Seconds of submissions of `n` dispatches each, to the end of their work.
+pub(super) fn dispatches(
+    gpu: &Gpu,
+    submissions: usize,
+    n: usize,
+    mut record: impl FnMut(&mut Pass),
+) -> Result<f64, Error> {
     gpu.wait("bench device")?;
     let clock = Instant::now();
-    let mut recorder = Recorder::new(gpu);
-    recorder.stage("bench", |pass| (0..n).for_each(|_| record(pass)));
-    recorder.submit();
+    for _ in 0..submissions {
+        let mut recorder = Recorder::new(gpu);
+        recorder.stage("bench", |pass| (0..n).for_each(|_| record(pass)));
+        recorder.submit();
+    }
     gpu.wait("bench device")?;
     Ok(clock.elapsed().as_secs_f64())
 }
@@ -119,7 +126,7 @@ fn arithmetic(gpu: &Gpu, real: Real, repeats: usize) -> Result<Spread, Error> {
     let target = RealBuffer::new(gpu, "bench.target", THREADS, real)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("multiply_add"), real)?;
     let bound = kernel.bind(gpu, &[("target_out", (&target).into())], &[])?;
-    let run = |n: usize| dispatches(gpu, n, |pass| pass.dispatch(&bound, THREADS));
+    let run = |n: usize| dispatches(gpu, 1, n, |pass| pass.dispatch(&bound, THREADS));
     // As many dispatches as hide the latency of submission and wait.
     let n = enough(1, 1 << 14, LONG_ENOUGH, run)?;
     let work = OPERATIONS * (THREADS * n) as f64;
@@ -142,7 +149,7 @@ impl<'a> Tiny<'a> {
 
     /// Seconds of `n` dispatches of one workgroup, each waiting for the one before.
     fn launches(&self, n: usize, indirect: bool) -> Result<f64, Error> {
-        dispatches(self.gpu, n, |pass| match indirect {
+        dispatches(self.gpu, 1, n, |pass| match indirect {
             true => pass.dispatch_indirect(&self.copy, &self.args, 0),
             false => pass.dispatch(&self.copy, 64),
         })
@@ -150,15 +157,7 @@ impl<'a> Tiny<'a> {
 
     /// Seconds of `n` submissions of one dispatch each, to the end of the last.
     fn submissions(&self, n: usize) -> Result<f64, Error> {
-        self.gpu.wait("bench device")?;
-        let clock = Instant::now();
-        for _ in 0..n {
-            let mut recorder = Recorder::new(self.gpu);
-            recorder.stage("bench", |pass| pass.dispatch(&self.copy, 64));
-            recorder.submit();
-        }
-        self.gpu.wait("bench device")?;
-        Ok(clock.elapsed().as_secs_f64())
+        dispatches(self.gpu, n, 1, |pass| pass.dispatch(&self.copy, 64))
     }
 
     /// Seconds from the recording of a dispatch to a number of it on the host.

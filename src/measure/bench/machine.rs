@@ -100,7 +100,7 @@ fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
         _ => BYTES[1].min(report.storage_binding.min(report.buffer) as usize),
     };
     let copy = copying(gpu, bytes / 4)?.0;
-    let run = |copies: usize| dispatches(gpu, copies, |pass| pass.dispatch(&copy, bytes / 16));
+    let run = |copies: usize| dispatches(gpu, 1, copies, |pass| pass.dispatch(&copy, bytes / 16));
     let copies = enough(8, 1 << 12, LONG_ENOUGH, run)?;
     let moved = (2 * bytes * copies) as f64;
     let rates = (0..repeats.max(1)).map(|_| Ok(moved / run(copies)?));

@@ -1,6 +1,5 @@
 //! Tables of a bench: columns are declared once, rows are named values, and one writer produces CSV, JSON and the lines of the terminal.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -31,38 +30,23 @@ pub enum Value {
 }
 
 macro_rules! values {
-    ($($kind:ident: $($from:ty),*;)*) => { $($(
+    ($($($from:ty),*: |$value:ident| $to:expr;)*) => { $($(
         impl From<$from> for Value {
-            fn from(value: $from) -> Value {
-                Value::$kind(value.try_into().expect("a count fits into 63 bits"))
+            fn from($value: $from) -> Value {
+                $to
             }
         }
     )*)* };
 }
-values! { Flag: bool; Count: i64, usize, u32, u64; Number: f64; Spread: Spread; }
-
-impl From<String> for Value {
-    /// An empty text is no value, as in a CSV file.
-    fn from(text: String) -> Value {
-        if text.is_empty() { Value::Empty } else { Value::Text(text) }
-    }
-}
-
-macro_rules! names {
-    ($($kind:ty),*) => { $(
-        impl From<$kind> for Value {
-            fn from(value: $kind) -> Value {
-                value.name().into()
-            }
-        }
-    )* };
-}
-names! { Precision, Preconditioner, PatchPressure }
-
-impl From<&str> for Value {
-    fn from(text: &str) -> Value {
-        text.to_owned().into()
-    }
+values! {
+    bool: |flag| Value::Flag(flag);
+    i64, usize, u32, u64: |n| Value::Count(n.try_into().expect("a count fits into 63 bits"));
+    f64: |x| Value::Number(x);
+    Spread: |spread| Value::Spread(spread);
+    // An empty text is no value, as in a CSV file.
+    String: |text| if text.is_empty() { Value::Empty } else { Value::Text(text) };
+    &str: |text| text.to_owned().into();
+    Precision, Preconditioner, PatchPressure: |kind| kind.name().into();
 }
 
 impl<T: Into<Value>> From<Option<T>> for Value {
@@ -134,6 +118,11 @@ impl Row {
         self.0.insert(name, value.into());
     }
 
+    /// Names of the values.
+    pub(super) fn names(&self) -> impl Iterator<Item = &'static str> {
+        self.0.keys().copied()
+    }
+
     /// Adds the values of another row.
     pub fn with(mut self, other: Row) -> Row {
         self.0.extend(other.0);
@@ -147,14 +136,12 @@ impl Row {
 
     /// Value of a column, also of one of a spread; empty if absent.
     pub fn get(&self, name: &str) -> Value {
-        if let Some(value) = self.0.get(name) {
-            return value.clone();
-        }
         let end = |(at, end)| {
             let Spread { median, min, max } = self.spread(name.strip_suffix(end)?)?;
             Some([median, min, max][at])
         };
-        ENDS.into_iter().enumerate().find_map(end).into()
+        let value = self.0.get(name).cloned();
+        value.unwrap_or_else(|| ENDS.into_iter().enumerate().find_map(end).into())
     }
 
     /// A number; NaN if absent.
@@ -271,12 +258,9 @@ impl Table {
     }
 
     /// Names of the columns of files.
-    fn heads(&self) -> Vec<Cow<'static, str>> {
-        let heads = self.columns().flat_map(|column| match column.spread {
-            true => ENDS.map(|end| format!("{}{end}", column.name).into()).to_vec(),
-            false => vec![column.name.into()],
-        });
-        heads.collect()
+    fn heads(&self) -> Vec<String> {
+        let ends = |column: &Column| if column.spread { &ENDS[..] } else { &[""] };
+        self.columns().flat_map(|column| ends(column).iter().map(|end| format!("{}{end}", column.name))).collect()
     }
 
     /// Appends a row, or replaces the one with the same key.
@@ -284,7 +268,7 @@ impl Table {
     /// # Panics
     /// If a value has no column.
     pub(super) fn put(&mut self, row: Row) {
-        let unknown = (row.0.keys()).find(|name| self.columns().all(|column| column.name != **name));
+        let unknown = row.names().find(|name| self.columns().all(|column| column.name != *name));
         assert!(unknown.is_none(), "{} has no column {unknown:?}", self.name);
         let key = row.only(self.key);
         match self.rows.iter_mut().find(|other| other.contains(&key)) {
@@ -304,7 +288,7 @@ impl Table {
             return remove(path);
         }
         let heads = self.heads();
-        let names = heads.iter().map(|head| Value::from(head.as_ref())).collect();
+        let names = heads.iter().map(|head| Value::from(head.as_str())).collect();
         let rows = self.rows.iter().map(|row| heads.iter().map(|head| row.get(head)).collect());
         write_csv(path, std::iter::once(names).chain(rows))
     }
@@ -314,29 +298,23 @@ impl Table {
         if !path.exists() {
             return Ok(());
         }
-        let read = || {
-            let mut reader = csv::Reader::from_path(path)?;
-            let heads = reader.headers()?.clone();
-            let mut rows = Vec::new();
-            for record in reader.records() {
-                let record = record?;
-                let text = |name: &str| heads.iter().position(|head| head == name).map_or("", |at| &record[at]);
-                let cell = |name: &str| Value::parse(text(name));
-                rows.push(Row::new(self.columns().map(|column| {
-                    let [median, min, max] = ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
-                    let value = match column.spread {
-                        false if column.names => text(column.name).into(),
-                        false => cell(column.name),
-                        true if median.is_finite() => Value::Spread(Spread { median, min, max }),
-                        true => Value::Empty,
-                    };
-                    (column.name, value)
-                })));
-            }
-            Ok(rows)
+        let row = |record: BTreeMap<String, String>| {
+            let text = |name: &str| record.get(name).map_or("", String::as_str);
+            let cell = |name: &str| Value::parse(text(name));
+            Row::new(self.columns().map(|column| {
+                let [median, min, max] = ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
+                let value = match column.spread {
+                    false if column.names => text(column.name).into(),
+                    false => cell(column.name),
+                    true if median.is_finite() => Value::Spread(Spread { median, min, max }),
+                    true => Value::Empty,
+                };
+                (column.name, value)
+            }))
         };
-        let refused = |problem| super::refused(path, format!("cannot be read: {problem}"));
-        self.rows = read().map_err(|problem: csv::Error| refused(problem))?;
+        let rows = csv::Reader::from_path(path)
+            .and_then(|mut reader| reader.deserialize().map(|record| record.map(row)).collect());
+        self.rows = rows.map_err(|problem| super::refused(path, format!("cannot be read: {problem}")))?;
         Ok(())
     }
 
@@ -374,7 +352,7 @@ impl Serialize for Table {
     }
 }
 
-struct Object<'a>(&'a [Cow<'static, str>], &'a Row);
+struct Object<'a>(&'a [String], &'a Row);
 
 impl Serialize for Object<'_> {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
