@@ -20,14 +20,19 @@ pub(super) struct SolidBytes {
     real: f64,
     /// Bytes of a scalar of the preconditioner.
     inner: f64,
+    /// Degree of the polynomial of the preconditioner.
+    degree: f64,
+    /// Nodes of the wet compliance, a dense matrix, where pressures are corrected alone.
+    wet_nodes: Option<usize>,
 }
 
 impl SolidBytes {
     /// Sizes of solids on a device. `inner`, `real`: bytes of a scalar of the preconditioner and of the velocities.
-    pub(super) fn new(solids: &Solids, [inner, real]: [f64; 2]) -> SolidBytes {
+    pub(super) fn new(solids: &Solids, [inner, real]: [f64; 2], degree: u32, wet_nodes: Option<usize>) -> SolidBytes {
         let (nodes, elements) = (solids.rest.len(), &solids.elements);
         let blocks = Incidence::new(nodes, elements).n_blocks() as f64;
-        SolidBytes { nodes: nodes as f64, elements: elements.len() as f64, blocks, real, inner }
+        let (nodes, elements) = (nodes as f64, elements.len() as f64);
+        SolidBytes { nodes, elements, blocks, real, inner, degree: degree.into(), wet_nodes }
     }
 
     /// A vector per node.
@@ -41,13 +46,13 @@ impl SolidBytes {
     }
 
     /// The polynomial of the preconditioner.
-    fn polynomial(&self, degree: f64) -> f64 {
+    fn polynomial(&self) -> f64 {
         // The first step has no product; the last writes z and its share of r . z.
         let first = self.nodes * (WORD + 16.0 * self.inner) + self.vectors(1.0);
         // Node of the row, its inverse, residual, iterate in and out, increment in and out.
         let row = self.nodes * (WORD + (8.0 + 4.0 * 4.0) * self.inner) + self.vectors(1.0);
         let step = row + 12.0 * self.inner * self.blocks;
-        first + degree * step + self.vectors(2.0)
+        first + self.degree * step + self.vectors(2.0)
     }
 
     /// Product of S with a vector, from the elements, gathered at the nodes with `others` more vectors.
@@ -72,8 +77,8 @@ impl SolidBytes {
     }
 
     /// Solids' part of an iteration of a two-field solve (symbols as in `solver/two_field.rs`).
-    fn two_field(&self, preconditioner: Preconditioner, degree: f64) -> f64 {
-        let polynomial = self.polynomial(degree);
+    fn two_field(&self, preconditioner: Preconditioner) -> f64 {
+        let polynomial = self.polynomial();
         let preconditioner = match preconditioner {
             // Two: y from t; then residual, t, z read and written, partials, which are summed.
             Preconditioner::Multigrid => 2.0 * polynomial + self.vectors(8.0),
@@ -88,21 +93,6 @@ impl SolidBytes {
         let (direction, update) = (self.vectors(3.0), self.vectors(6.0));
         preconditioner + operator + direction + update
     }
-}
-
-/// Form of the corrections of a solve for liquid and solids.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Corrections {
-    /// Pressures and velocities.
-    TwoField {
-        /// Degree of the solids' polynomial.
-        degree: u32,
-    },
-    /// Pressures alone.
-    Condensed {
-        /// Nodes of the wet compliance, a dense matrix.
-        wet_nodes: usize,
-    },
 }
 
 /// Sizes that decide the bytes of a solve.
@@ -125,15 +115,15 @@ pub(super) struct SolveBytes {
 impl SolveBytes {
     /// A solve and its set-up. The outer loop of a coupled solve is that of the solids alone; its other parts are small, as are the pairs of cells and
     /// nodes.
-    pub(super) fn total(&self, coupled: Option<(SolidBytes, Corrections)>) -> f64 {
+    pub(super) fn total(&self, coupled: Option<SolidBytes>) -> f64 {
         let [inner, _] = self.widths;
         // Of the pressure system and its hierarchy: distance and apertures in, the matrix out.
         let set_up = self.unknowns * (4.0 * 4.0 + 5.0 * inner * 8.0 / 7.0);
-        let Some((solids, corrections)) = coupled else { return set_up + self.pressure() };
-        let iteration = match corrections {
-            Corrections::TwoField { degree } => solids.two_field(self.preconditioner, degree.into()),
+        let Some(solids) = coupled else { return set_up + self.pressure() };
+        let iteration = match solids.wet_nodes {
+            None => solids.two_field(self.preconditioner),
             // The wet compliance in f32, three components per node; vectors of the nodes are small beside it.
-            Corrections::Condensed { wet_nodes } => 4.0 * (3.0 * wet_nodes as f64).powi(2),
+            Some(wet_nodes) => 4.0 * (3.0 * wet_nodes as f64).powi(2),
         };
         set_up + (self.pressure() + solids.outer_loop(self.refinements) + self.iterations * iteration)
     }

@@ -30,7 +30,7 @@ use serde_json::Value as Json;
 
 use super::write_json;
 use crate::Error;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, Traffic};
 use crate::output::FolderLock;
 use crate::scene::Scene;
 use chart::Page;
@@ -43,6 +43,7 @@ pub use machine::{Machine, SOURCES};
 const SEED: u64 = 20;
 /// Time between two messages of progress.
 const PAUSE: Duration = Duration::from_secs(5);
+
 /// Refuses a file of an earlier run, whose rows this one cannot keep.
 fn refused(path: &Path, problem: String) -> Error {
     let cure = "measure into another folder (--out), or leave --resume out to measure all anew";
@@ -355,6 +356,14 @@ fn growth(members: &[&Row], size: &str) -> Option<Row> {
         rows: members.len(), from: sizes.clone().min()?, to: sizes.max()?, exponent: exponents.fit, exponent_last: exponents.last,
         exponent_low: spread.then_some(exponents.low), exponent_high: spread.then_some(exponents.high),
     })
+}
+
+/// Columns of [`TRAFFIC`] that are counts.
+fn traffic_counts(traffic: &Traffic) -> Row {
+    row! {
+        waits: traffic.waits, submissions: traffic.submissions, dispatches: traffic.dispatches, bytes_up: traffic.bytes_up,
+        bytes_down: traffic.bytes_down,
+    }
 }
 
 table::columns! {

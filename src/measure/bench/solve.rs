@@ -9,18 +9,18 @@ mod reference_solvers;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
-use super::bytes::{Corrections, SolidBytes, SolveBytes};
+use super::bytes::{SolidBytes, SolveBytes};
 use super::chart::{Chart, Page, lines};
 use super::ended::Ended;
 use super::statistics::{Spread, exponent, grouped};
 use super::table::{Row, Table, columns, row};
 use super::{
     Bench, Case, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, Timed, allocated_bytes, growth,
-    replace, rounds, rows,
+    replace, rounds, rows, traffic_counts,
 };
 use crate::Error;
 use crate::fields::SolverBuffers;
-use crate::gpu::{Buffer, Gpu, Recorder, Traffic};
+use crate::gpu::{Gpu, Recorder, Traffic};
 use crate::linalg::SymbolicCholesky;
 use crate::measure::base_scene::{DeviceScene, block_fields};
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
@@ -197,84 +197,14 @@ struct Solved {
 }
 
 /// A system on the device.
-trait DeviceSystem {
-    /// Restores the right-hand sides, which a solve replaces.
-    fn prepare(&self) {}
-    /// Sets the system up and solves it.
-    fn set_up_and_solve(&self, gpu: &Gpu) -> Result<Solved, Error>;
-    fn buffers(&self) -> &SolverBuffers;
+struct Device<'a> {
+    buffers: &'a SolverBuffers,
     /// Degree of the solids' polynomial.
-    fn degree(&self) -> u32 {
-        0
-    }
-}
-
-/// The pressure system of the base block on the device.
-struct Block {
-    _fields: [Buffer<f32>; 3],
-    buffers: SolverBuffers,
-    everywhere: Everywhere,
-    system: PressureSystem,
-    solver: PressureSolver,
-}
-
-impl Block {
-    fn new(gpu: &Gpu, block: &BaseBlock, rhs: &[f64], solver: &Solver) -> Result<Block, Error> {
-        let grid = &block.grid;
-        let fields = block_fields(gpu, block, &block.open)?;
-        let [open, velocity, distance] = &fields;
-        let buffers = SolverBuffers::new(gpu, grid, solver.precision)?;
-        let everywhere = Everywhere::new(gpu, grid)?;
-        let area = grid.dx * grid.dx;
-        let rhs: Vec<f64> = rhs.iter().map(|value| value / area).collect();
-        let rhs = grid.padded().pad(grid.cells, &rhs, |value| value);
-        buffers.rhs.upload(gpu, &rhs);
-        let within = everywhere.within();
-        Ok(Block {
-            system: PressureSystem::new(gpu, &buffers, open, distance, within, THETA_FLOOR)?,
-            solver: PressureSolver::new(gpu, &buffers, velocity, open, solver)?,
-            _fields: fields,
-            buffers,
-            everywhere,
-        })
-    }
-}
-
-impl DeviceSystem for Block {
-    fn set_up_and_solve(&self, gpu: &Gpu) -> Result<Solved, Error> {
-        let mut recorder = Recorder::new(gpu);
-        let within = self.everywhere.within();
-        recorder.stage(Stage::ActiveCells.name(), |pass| self.system.record(pass, &self.buffers, within));
-        let (outcome, _) = self.solver.solve(gpu, recorder, &self.buffers)?;
-        Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: false })
-    }
-
-    fn buffers(&self) -> &SolverBuffers {
-        &self.buffers
-    }
-}
-
-impl DeviceSystem for DeviceScene<'_> {
-    fn prepare(&self) {
-        self.reset();
-    }
-
-    fn set_up_and_solve(&self, _: &Gpu) -> Result<Solved, Error> {
-        let outcome = self.solve()?;
-        Ok(Solved {
-            ended: Ended::from(&outcome),
-            refinements: outcome.parts[0].refinements,
-            condensed: outcome.condensed,
-        })
-    }
-
-    fn buffers(&self) -> &SolverBuffers {
-        &self.liquid
-    }
-
-    fn degree(&self) -> u32 {
-        self.polynomial.degree
-    }
+    degree: u32,
+    /// Restores the right-hand sides, which a solve replaces.
+    prepare: &'a dyn Fn(),
+    /// Sets the system up and solves it.
+    solve: &'a dyn Fn() -> Result<Solved, Error>,
 }
 
 /// A reference solver of a system.
@@ -290,7 +220,7 @@ struct Reference {
 
 impl Reference {
     fn new(solver: ReferenceSolver, system: Assembled, settings: &Solver, largest: f64) -> Result<Self, Error> {
-        let (mut rows, mut entries, mut factor_bytes) = (system.n_pressures(), None, None);
+        let ([mut rows, _], mut entries, mut factor_bytes) = (system.sizes(), None, None);
         if solver != ReferenceSolver::Multigrid {
             let matrix = system.definite().matrix()?;
             let factor_entries = match solver {
@@ -347,27 +277,52 @@ struct Measurement<'a> {
 impl Measurement<'_> {
     /// Rows of a system: of the device and of each reference solver.
     fn measure(&self, run: &mut Run, formulation: Formulation) -> Result<Rows, Error> {
-        let Measurement { gpu, key, solver, .. } = self;
-        let (grid, allocated) = (key.count("grid"), allocated_bytes(gpu));
+        let (grid, allocated) = (self.key.count("grid"), allocated_bytes(self.gpu));
         if formulation == Formulation::Pressure {
-            let block = BaseBlock::new(grid);
-            let system = block.pressure_system();
-            let device = Block::new(gpu, &block, &system.rhs, solver)?;
-            return self.rows(run, Assembled::Pressure(&system), &device, allocated);
+            return self.pressure(run, &BaseBlock::new(grid), allocated);
         }
-        let across = match key.count("bricks") {
+        let across = match self.key.count("bricks") {
             0 => bricks_across(grid),
             bricks => bricks,
         };
         let beam = BaseBeam { bricks: [across, across, 7 * across], ..BaseBeam::default() };
         let scene = BaseScene::new(grid, &beam)?;
         let system = scene.coupled_system();
-        let device = DeviceScene::new(gpu, &scene, &system, solver)?;
+        let device = DeviceScene::new(self.gpu, &scene, &system, &self.solver)?;
+        let solve = || {
+            let outcome = device.solve()?;
+            let refinements = outcome.parts[0].refinements;
+            Ok(Solved { ended: Ended::from(&outcome), refinements, condensed: outcome.condensed })
+        };
+        let (buffers, degree) = (&device.liquid, device.polynomial.degree);
+        let device = Device { buffers, degree, prepare: &|| device.reset(), solve: &solve };
         self.rows(run, Assembled::Both(&system, &scene.solids), &device, allocated)
     }
 
+    /// Rows of the pressure system of the base block.
+    fn pressure(&self, run: &mut Run, block: &BaseBlock, allocated: u64) -> Result<Rows, Error> {
+        let (gpu, grid, assembled) = (self.gpu, &block.grid, block.pressure_system());
+        let [open, velocity, distance] = &block_fields(gpu, block, &block.open)?;
+        let buffers = SolverBuffers::new(gpu, grid, self.solver.precision)?;
+        let everywhere = Everywhere::new(gpu, grid)?;
+        let within = everywhere.within();
+        let area = grid.dx * grid.dx;
+        let rhs: Vec<f64> = assembled.rhs.iter().map(|value| value / area).collect();
+        buffers.rhs.upload(gpu, &grid.padded().pad(grid.cells, &rhs, |value| value));
+        let system = PressureSystem::new(gpu, &buffers, open, distance, within, THETA_FLOOR)?;
+        let solver = PressureSolver::new(gpu, &buffers, velocity, open, &self.solver)?;
+        let solve = || {
+            let mut recorder = Recorder::new(gpu);
+            recorder.stage(Stage::ActiveCells.name(), |pass| system.record(pass, &buffers, within));
+            let (outcome, _) = solver.solve(gpu, recorder, &buffers)?;
+            Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: false })
+        };
+        let device = Device { buffers: &buffers, degree: 0, prepare: &|| {}, solve: &solve };
+        self.rows(run, Assembled::Pressure(&assembled), &device, allocated)
+    }
+
     /// Solves on the device and with the reference solvers, in rounds. `allocated`: bytes of the device before the system.
-    fn rows(&self, run: &mut Run, system: Assembled, device: &dyn DeviceSystem, allocated: u64) -> Result<Rows, Error> {
+    fn rows(&self, run: &mut Run, system: Assembled, device: &Device, allocated: u64) -> Result<Rows, Error> {
         let Measurement { gpu, key, solver, options } = self;
         let references = options.against.iter();
         let references = references.map(|&other| Reference::new(other, system, solver, options.largest_factor));
@@ -375,25 +330,26 @@ impl Measurement<'_> {
         let solving: Vec<&Reference> = references.iter().filter(|other| other.note.is_empty()).collect();
         let what = format!("grid {} {}", key.count("grid"), key.text("formulation"));
         // The first compiles.
-        device.prepare();
-        let solved = device.set_up_and_solve(gpu)?;
+        (device.prepare)();
+        let solved = (device.solve)()?;
         let mut idle = Vec::new();
         let timed = rounds(run, &format!("solves of {what}"), 1 + solving.len(), |job| {
-            device.prepare();
+            (device.prepare)();
             gpu.wait("bench")?;
             let (before, clock) = (gpu.traffic(), Instant::now());
             if let Some(reference) = job.checked_sub(1).map(|job| solving[job]) {
                 let ended = system.solve(reference.solver, &reference.settings)?.map(|reports| Ended::new(&reports));
                 return Ok((clock.elapsed().as_secs_f64(), (ended, Traffic::default())));
             }
-            let again = device.set_up_and_solve(gpu)?;
+            let again = (device.solve)()?;
             let seconds = clock.elapsed().as_secs_f64();
             solved.ended.ensure_repeated(again.ended, &what)?;
             let traffic = gpu.traffic().since(before);
             idle.push(traffic.idle_seconds);
             Ok((seconds, (Some(again.ended), traffic)))
         })?;
-        let key = key.clone().with(row! { active_cells: system.n_pressures(), solid_nodes: system.n_nodes() });
+        let [active_cells, nodes] = system.sizes();
+        let key = key.clone().with(row! { active_cells: active_cells, solid_nodes: nodes });
         let status = solved.ended.name(solver.tolerance);
         let own = row! {
             status: status, idle_seconds: Spread::of(idle).median, device_bytes: allocated_bytes(gpu) - allocated,
@@ -413,11 +369,11 @@ impl Measurement<'_> {
         &self,
         machine: &Machine,
         system: Assembled,
-        device: &dyn DeviceSystem,
+        device: &Device,
         solved: &Solved,
         timed: &Outcome,
     ) -> Result<Row, Error> {
-        let (buffers, unknowns) = (device.buffers(), system.n_pressures() as f64);
+        let (buffers, unknowns) = (device.buffers, system.sizes()[0] as f64);
         let Ended { iterations, residuals, .. } = solved.ended;
         let pressure = SolveBytes {
             unknowns,
@@ -431,11 +387,7 @@ impl Measurement<'_> {
             Assembled::Pressure(_) => None,
             Assembled::Both(coupled, solids) => {
                 let wet_nodes = || coupled.coupling.pairs().iter().map(|pair| pair.node).collect::<BTreeSet<_>>().len();
-                let corrections = match solved.condensed {
-                    true => Corrections::Condensed { wet_nodes: wet_nodes() },
-                    false => Corrections::TwoField { degree: device.degree() },
-                };
-                Some((SolidBytes::new(solids, pressure.widths), corrections))
+                Some(SolidBytes::new(solids, pressure.widths, device.degree, solved.condensed.then(wet_nodes)))
             }
         };
         let bytes = pressure.total(coupled);
@@ -443,9 +395,9 @@ impl Measurement<'_> {
         Ok(row! {
             iterations: iterations, rounds: solved.refinements, runs: timed.runs(), seconds: seconds, residual_p: residuals[0],
             residual_v: residuals[1], cells_per_second: unknowns / seconds.median, bytes: bytes,
-            share_of_copy_bandwidth: machine.share(bytes, seconds.median), waits: traffic.waits, submissions: traffic.submissions,
-            dispatches: traffic.dispatches, bytes_up: traffic.bytes_up, bytes_down: traffic.bytes_down,
-        })
+            share_of_copy_bandwidth: machine.share(bytes, seconds.median),
+        }
+        .with(traffic_counts(traffic)))
     }
 }
 

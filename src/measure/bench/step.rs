@@ -13,10 +13,10 @@ use super::sub_step::stage_seconds;
 use super::table::{Row, Table, Value, columns, row};
 use super::{
     Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, allocated_bytes, growth, hashes, replace,
-    rows,
+    rows, traffic_counts,
 };
 use crate::Error;
-use crate::gpu::{AdapterChoice, Gpu, Trace, Traffic};
+use crate::gpu::{AdapterChoice, Gpu, Trace};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::{SolveReport, StepReport};
 use crate::step::Stage;
@@ -105,7 +105,8 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     let table = &mut run.results.tables[0];
     table.rows.retain(|row| row.count("runs") == repeats);
     let new = options.scenes.iter().filter(|case| !table.has(&case.key()));
-    let mut records: Vec<Record> = new.map(Record::new).collect();
+    let record = |case| Record { case, sizes: Row::default(), timestamps: false, repeats: Vec::new() };
+    let mut records: Vec<Record> = new.map(record).collect();
     let (clock, n) = (Instant::now(), records.len());
     for round in 0..repeats {
         for (number, record) in records.iter_mut().enumerate() {
@@ -134,9 +135,10 @@ struct Record<'a> {
 /// One sub-step.
 struct Sample {
     seconds: f64,
-    band_cells: usize,
     report: StepReport,
-    traffic: Traffic,
+    idle_seconds: f64,
+    /// Numbers that `step.csv` has as means.
+    numbers: Row,
     trace: Trace,
 }
 
@@ -144,24 +146,13 @@ impl Sample {
     fn touching(&self) -> bool {
         self.report.coupling.is_some_and(|both| both.touching)
     }
-
-    /// Unknowns and iterations of the pressure, and of the solids; 0 without liquid or solids.
-    fn solves(&self) -> [[f64; 2]; 2] {
-        let numbers = |solve: SolveReport| [solve.unknowns as f64, f64::from(solve.iterations)];
-        let StepReport { liquid, solid, .. } = &self.report;
-        [liquid.map_or([0.0; 2], |liquid| numbers(liquid.solve)), solid.map_or([0.0; 2], |solid| numbers(solid.solve))]
-    }
 }
 
 fn path_of(simulation: &Simulation) -> &GpuPath {
     simulation.gpu_path().expect("benches run on the GPU path")
 }
 
-impl<'a> Record<'a> {
-    fn new(case: &'a Case) -> Record<'a> {
-        Record { case, sizes: Row::default(), timestamps: false, repeats: Vec::new() }
-    }
-
+impl Record<'_> {
     /// Seconds of all runs.
     fn seconds(&self) -> f64 {
         self.repeats.iter().flatten().map(|sample| sample.seconds).sum()
@@ -183,13 +174,16 @@ impl<'a> Record<'a> {
             let report = simulation.step()?;
             let seconds = clock.elapsed().as_secs_f64();
             let path = path_of(&simulation);
-            let sample = Sample {
-                seconds,
-                traffic: path.gpu().traffic().since(before),
-                trace: path.gpu().take_trace(),
+            let traffic = path.gpu().traffic().since(before);
+            let trace = path.gpu().take_trace();
+            let solve = |solve: Option<SolveReport>| solve.map_or((0, 0), |solve| (solve.unknowns, solve.iterations));
+            let (unknowns, iterations) = solve(report.liquid.map(|liquid| liquid.solve));
+            let (solid_unknowns, solid_iterations) = solve(report.solid.map(|solid| solid.solve));
+            let numbers = traffic_counts(&traffic).with(row! {
+                unknowns: unknowns, iterations: iterations, solid_unknowns: solid_unknowns, solid_iterations: solid_iterations,
                 band_cells: path.band_cells()?,
-                report,
-            };
+            });
+            let sample = Sample { seconds, report, idle_seconds: traffic.idle_seconds, numbers, trace };
             // The first of a kind compiles.
             if std::mem::replace(&mut kinds[usize::from(sample.touching())], true) {
                 samples.push(sample);
@@ -245,24 +239,16 @@ impl<'a> Record<'a> {
         let seconds = over_repeats(repeats, &|sample| sample.seconds);
         let sub_step = |n: usize| Spread::of(repeats.iter().map(|repeat| repeat[n].seconds).collect()).median;
         let kind = self.case.key().with(row! { kind: kind });
-        let [[unknowns, iterations], [solid_unknowns, solid_iterations]] =
-            [0, 1].map(|part| [0, 1].map(|number| mean(&|sample| sample.solves()[part][number])));
+        let means = first[0].numbers.names().map(|name| (name, mean(&|sample| sample.numbers.number(name)).into()));
         let last = first.last().and_then(|sample| sample.report.liquid);
         let sizes = row! {
             cells: self.case.scene.grid().n_cells(), sub_steps: first.len(),
             simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(), markers: last.map_or(0, |liquid| liquid.markers),
-            unknowns: unknowns, band_cells: mean(&|sample| sample.band_cells as f64), iterations: iterations,
-            solid_unknowns: solid_unknowns, solid_iterations: solid_iterations, runs: repeats.len(),
+            runs: repeats.len(), seconds: seconds, sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
+            cells_per_second: mean(&|sample| sample.numbers.number("unknowns")) / seconds.median,
+            idle_seconds: over_repeats(repeats, &|sample| sample.idle_seconds).median,
         };
-        let times = row! {
-            seconds: seconds, sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
-            cells_per_second: unknowns / seconds.median,
-            waits: mean(&|sample| sample.traffic.waits as f64), submissions: mean(&|sample| sample.traffic.submissions as f64),
-            dispatches: mean(&|sample| sample.traffic.dispatches as f64), bytes_up: mean(&|sample| sample.traffic.bytes_up as f64),
-            bytes_down: mean(&|sample| sample.traffic.bytes_down as f64),
-            idle_seconds: over_repeats(repeats, &|sample| sample.traffic.idle_seconds).median,
-        };
-        let mut rows = vec![("step", kind.clone().with(self.sizes.clone()).with(sizes).with(times))];
+        let mut rows = vec![("step", kind.clone().with(self.sizes.clone()).with(sizes).with(Row::new(means)))];
         let names = first.iter().flat_map(|sample| &sample.report.seconds);
         for (stage, _) in grouped(names, |(stage, _)| Some(*stage)) {
             let seconds = over_repeats(repeats, &|sample| stage_seconds(&sample.report, &[stage]));

@@ -40,19 +40,11 @@ pub enum Assembled<'a> {
 }
 
 impl<'a> Assembled<'a> {
-    /// Number of pressure unknowns.
-    pub(super) fn n_pressures(self) -> usize {
+    /// Numbers of pressure unknowns and of nodes of the solids.
+    pub(super) fn sizes(self) -> [usize; 2] {
         match self {
-            Assembled::Pressure(system) => system.n_unknowns(),
-            Assembled::Both(system, _) => system.pressure.n_unknowns(),
-        }
-    }
-
-    /// Number of nodes of the solids.
-    pub(super) fn n_nodes(self) -> usize {
-        match self {
-            Assembled::Pressure(_) => 0,
-            Assembled::Both(_, solids) => solids.rest.len(),
+            Assembled::Pressure(system) => [system.n_unknowns(), 0],
+            Assembled::Both(system, solids) => [system.pressure.n_unknowns(), solids.rest.len()],
         }
     }
 
@@ -70,32 +62,26 @@ impl<'a> Assembled<'a> {
     /// # Errors
     /// When a factor does not fit into memory, or does not exist in f64.
     pub fn solve(self, solver: ReferenceSolver, settings: &Solver) -> Result<Option<Vec<SolveReport>>, Error> {
-        match (solver, self) {
-            (ReferenceSolver::Multigrid, Assembled::Pressure(system)) => {
-                Ok(Some(vec![solve_iterative(system, settings).1]))
-            }
-            (ReferenceSolver::Multigrid, Assembled::Both(system, solids)) => {
-                let solver = SolidSolver::new(solids);
-                let found = solve_coupled(system, Formulation::Condensed, &solver, solids, settings)?;
-                Ok(Some(found.reports.to_vec()))
-            }
-            (ReferenceSolver::IncompleteCholesky, _) => {
-                let definite = self.definite();
-                let matrix = definite.matrix()?;
-                let factor = Incomplete::new(&matrix);
-                Ok(factor.map(|factor| definite.iterate(&matrix, &factor, settings)))
-            }
-            (ReferenceSolver::Cholesky, _) => {
-                let definite = self.definite();
-                let matrix = definite.matrix()?;
-                let symbolic = SymbolicCholesky::new(&matrix)?;
-                let factor = symbolic.factorise_in_parallel(&matrix)?;
-                Ok(Some(definite.refined(settings, |x, _, _| {
-                    factor.solve(x);
-                    (0, CgEnd::Converged)
-                })))
-            }
+        if solver == ReferenceSolver::Multigrid {
+            return Ok(Some(match self {
+                Assembled::Pressure(system) => vec![solve_iterative(system, settings).1],
+                Assembled::Both(system, solids) => {
+                    let solver = SolidSolver::new(solids);
+                    solve_coupled(system, Formulation::Condensed, &solver, solids, settings)?.reports.to_vec()
+                }
+            }));
         }
+        let definite = self.definite();
+        let matrix = definite.matrix()?;
+        if solver == ReferenceSolver::IncompleteCholesky {
+            return Ok(Incomplete::new(&matrix).map(|factor| definite.iterate(&matrix, &factor, settings)));
+        }
+        let symbolic = SymbolicCholesky::new(&matrix)?;
+        let factor = symbolic.factorise_in_parallel(&matrix)?;
+        Ok(Some(definite.refined(settings, |x, _, _| {
+            factor.solve(x);
+            (0, CgEnd::Converged)
+        })))
     }
 }
 
