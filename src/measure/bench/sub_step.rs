@@ -4,6 +4,9 @@ use std::time::Instant;
 
 use glam::DVec3;
 
+use super::ended::Ended;
+use super::statistics::Spread;
+use super::table::{Row, row};
 use crate::Error;
 use crate::gpu::AdapterChoice;
 use crate::grid::Axis;
@@ -11,7 +14,7 @@ use crate::measure::stored;
 use crate::reference::{Reference, larger};
 use crate::scene::{Precision, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot};
-use crate::state::{State, StepReport};
+use crate::state::{SolveReport, State, StepReport};
 use crate::step::Stage;
 
 /// Solution: a pressure per cell, Pa, and velocities of the nodes, m/s.
@@ -69,7 +72,7 @@ pub(super) fn open_paths(
         scene.solver = solver;
         match GpuPath::open(&scene, adapter) {
             Ok(mut path) => {
-                sub_step(&mut path, state, density(&scene))?;
+                sub_step(&mut path, state)?;
                 paths.push((solver.precision, path));
             }
             Err(Error::Limit { .. }) if solver.precision == Precision::F64 => {}
@@ -79,9 +82,9 @@ pub(super) fn open_paths(
     Ok(paths)
 }
 
-/// Computes the sub-step after a state, with liquid of this density (kg/m^3). The seconds of the solve include its set-up: active cells and hierarchy, rotations of the elements,
+/// Computes the sub-step after a state. The seconds of the solve include its set-up: active cells and hierarchy, rotations of the elements,
 /// right-hand sides.
-pub(super) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
+pub(super) fn sub_step(path: &mut GpuPath, state: &State) -> Result<Done, Error> {
     path.write_state(state)?;
     let mut clock = None;
     let (mut seconds, mut solution, mut faces) = (0.0, None, Default::default());
@@ -94,7 +97,7 @@ pub(super) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
             path.gpu().wait("bench")?;
             seconds = clock.map_or(0.0, |clock: Instant| clock.elapsed().as_secs_f64());
             let Snapshot { liquid, solids, .. } = path.snapshot()?;
-            let pressure = |liquid| stored::pressure(path, &liquid, density, dt);
+            let pressure = |liquid| stored::pressure(path, &liquid, density(path.scene()), dt);
             solution = Some(Solution {
                 pressure: liquid.map_or(Vec::new(), pressure),
                 velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
@@ -120,6 +123,21 @@ pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
         solution: Solution { pressure, velocity },
         faces,
     })
+}
+
+/// Columns of the solves of a sub-step to a tolerance.
+pub(super) fn solve_columns(report: &StepReport, tolerance: f64, seconds: Spread) -> Row {
+    let unknowns = |solve: Option<SolveReport>| solve.map_or(0, |solve| solve.unknowns);
+    let solves: Vec<SolveReport> = report.solves().collect();
+    let iterations = match report.coupling {
+        // In a coupled solve each report has all iterations.
+        Some(both) if both.touching => solves[0].iterations,
+        _ => solves.iter().map(|solve| solve.iterations).sum(),
+    };
+    row! {
+        unknowns: unknowns(report.liquid.map(|liquid| liquid.solve)), solid_unknowns: unknowns(report.solid.map(|solid| solid.solve)),
+        status: Ended::new(&solves).name(tolerance), iterations: iterations, seconds: seconds,
+    }
 }
 
 /// Seconds of some stages of a sub-step.

@@ -3,14 +3,12 @@
 use super::exact::Exact;
 use super::{Options, ensure_truth};
 use crate::Error;
-use crate::measure::bench::ended::Ended;
-use crate::measure::bench::sub_step::{Done, Mask, density, open_paths, reference_step, rest_errors, sub_step};
+use crate::measure::bench::sub_step::{Done, Mask, open_paths, reference_step, rest_errors, solve_columns, sub_step};
 use crate::measure::bench::table::row;
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::reference::larger;
 use crate::scene::{Scene, Solver};
 use crate::sim::reference_path;
-use crate::state::SolveReport;
 
 /// Rows of a problem on a grid.
 pub(super) fn measure(run: &mut Run, problem: Exact, grid: usize, options: &Options) -> Result<Rows, Error> {
@@ -34,21 +32,17 @@ pub(super) fn measure(run: &mut Run, problem: Exact, grid: usize, options: &Opti
     let timed = rounds(run, &format!("solves of {what}"), n * paths.len(), |job| {
         let path = &mut paths[job / n].1;
         path.set_tolerance(options.tolerances[job % n]);
-        let done = sub_step(path, &state, density(&scene))?;
+        let done = sub_step(path, &state)?;
         Ok((done.seconds, done))
     })?;
     let rows = timed.into_iter().enumerate().map(|(job, timed)| {
         let (tolerance, done) = (options.tolerances[job % n], &timed.outcome);
         let [error_p, error_u] = errors(problem, &scene, &mask, done);
-        let solves: Vec<SolveReport> = done.report.solves().collect();
         let row = row! {
-            problem: problem.name(), grid: grid, unknowns: solves[0].unknowns, solid_unknowns: solves.get(1).map_or(0, |solve| solve.unknowns),
-            precision: paths[job / n].0, tolerance: tolerance, status: Ended::new(&solves).name(tolerance),
-            // Both are solved together: each report has the iterations of the coupled solve.
-            iterations: solves[0].iterations, seconds: timed.spread(), error_p: error_p, grid_error_p: grid_p,
+            problem: problem.name(), grid: grid, precision: paths[job / n].0, tolerance: tolerance, error_p: error_p, grid_error_p: grid_p,
             error_u: problem.rests().then_some(error_u), grid_error_u: problem.rests().then_some(grid_u),
         };
-        ("accuracy_grids", row)
+        ("accuracy_grids", row.with(solve_columns(&done.report, tolerance, timed.spread())))
     });
     Ok(rows.collect())
 }

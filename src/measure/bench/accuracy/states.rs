@@ -3,9 +3,8 @@
 use super::{Options, ensure_truth};
 use crate::Error;
 use crate::effects::Effects;
-use crate::measure::bench::ended::Ended;
 use crate::measure::bench::statistics::Spread;
-use crate::measure::bench::sub_step::{Done, Mask, Solution, density, reference_step, sub_step};
+use crate::measure::bench::sub_step::{Done, Mask, Solution, density, reference_step, solve_columns, sub_step};
 use crate::measure::bench::table::{Row, row};
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::measure::stored;
@@ -64,7 +63,7 @@ pub(super) fn measure(run: &mut Run, scene: &Scene, frame: u64, options: &Option
     let timed = rounds(run, &format!("solves of {}, frame {frame}", scene.name), n * variants.len(), |job| {
         let path = &mut variants[job / n].path;
         path.set_tolerance(options.tolerances[job % n]);
-        let done = sub_step(path, state, density(&scene))?;
+        let done = sub_step(path, state)?;
         Ok((done.seconds, done))
     })?;
     let rows = timed.into_iter().enumerate().map(|(job, timed)| {
@@ -120,8 +119,6 @@ impl<'a> Case<'a> {
         let liquid = report.liquid.map(|liquid| (liquid.solve, liquid.diagnosis));
         let solves = [liquid.map(|(solve, _)| solve), report.solid.map(|solid| solid.solve)];
         let touching = report.coupling.filter(|both| both.touching);
-        let iterations = solves.map(|solve| solve.map_or(0, |solve| solve.iterations));
-        let reports: Vec<SolveReport> = solves.into_iter().flatten().collect();
         let Solution { pressure, velocity } = &done.solution;
         let cells = |exact: &[f64]| relative(pressure, exact, Some(&self.mask.cells));
         let nodes = |exact: &[[f64; 3]]| relative(velocity.as_flattened(), exact.as_flattened(), None);
@@ -129,20 +126,17 @@ impl<'a> Case<'a> {
         let fall = self.scene.domain.gravity.length() * self.dt;
         let speed = liquid.map_or(0.0, |(_, diagnosis)| diagnosis.max_speed);
         let (truth, truth_residual) = &variant.truth;
-        row! {
+        let row = row! {
             scene: self.scene.name.as_str(), frame: self.state.frame, cells: self.scene.grid().n_cells(),
-            unknowns: solves[0].map_or(0, |solve| solve.unknowns), solid_unknowns: solves[1].map_or(0, |solve| solve.unknowns),
             precision: variant.solver.precision, preconditioner: variant.solver.preconditioner,
             formulation: touching.map_or("apart", |both| if both.condensed { "condensed" } else { "two-field" }), tolerance: tolerance,
-            status: Ended::new(&reports).name(tolerance),
-            // In a coupled solve each report has all iterations.
-            iterations: if touching.is_some() { iterations[0] } else { iterations.iter().sum() }, seconds: seconds,
             residual_p: solves[0].map_or(0.0, |solve| solve.residual), residual_v: solves[1].map_or(0.0, |solve| solve.residual),
             error_p: cells(&truth.pressure), error_v: nodes(&truth.velocity), step_error_p: cells(&self.exact.solution.pressure),
             step_error_v: nodes(&self.exact.solution.velocity),
             step_error_u: relative(&done.faces.concat(), &self.exact.faces.concat(), Some(&counts)), truth_residual: *truth_residual,
             divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence), speed_over_g_dt: if fall > 0.0 { speed / fall } else { 0.0 },
-        }
+        };
+        row.with(solve_columns(report, tolerance, seconds))
     }
 }
 

@@ -7,15 +7,14 @@
 use super::{MOST_ITERATIONS, Options, TOLERANCE};
 use crate::Error;
 use crate::linalg::norm;
-use crate::measure::bench::ended::{Ended, is_solved};
+use crate::measure::bench::ended::is_solved;
 use crate::measure::bench::statistics::{Spread, exponent, grouped};
-use crate::measure::bench::sub_step::{Done, Mask, density, open_paths, reference_step, rest_errors, sub_step};
+use crate::measure::bench::sub_step::{Done, Mask, open_paths, reference_step, rest_errors, solve_columns, sub_step};
 use crate::measure::bench::table::{Row, columns, row};
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
 use crate::sim::{reference_path, solids_of};
-use crate::state::SolveReport;
 
 /// Cells along the tank's height in fits of orders: cell sizes of 0.1 to 0.0125.
 const FITTED: std::ops::RangeInclusive<usize> = 10..=80;
@@ -130,7 +129,7 @@ impl Problem {
         let timed = rounds(run, &what, 1 + paths.len(), |job| {
             let done = match job.checked_sub(1) {
                 None => reference_step(&mut reference, &state)?,
-                Some(job) => sub_step(&mut paths[job].1, &state, density(&scene))?,
+                Some(job) => sub_step(&mut paths[job].1, &state)?,
             };
             Ok((done.seconds, done))
         })?;
@@ -154,15 +153,12 @@ impl Problem {
         let thesis = [0, 1, 2].map(|of: usize| printed.map(|(_, errors)| errors[of]));
         let ratio = [0, 1, 2].map(|of: usize| thesis[of].map(|printed| errors[of] / printed));
         let dx = scene.grid().dx;
-        let solves: Vec<SolveReport> = done.report.solves().collect();
-        row! {
-            table: self.table, grid: grid, dx: dx, unknowns: solves[0].unknowns, solid_unknowns: solves[1].unknowns, error_p: error_p,
-            error_v: error_v, error_u: error_u, rms_v: norm(velocities) / (velocities.len() as f64).sqrt(), thesis_p: thesis[0],
+        let row = row! {
+            table: self.table, grid: grid, dx: dx, error_p: error_p, error_v: error_v, error_u: error_u, rms_v: norm(velocities) / (velocities.len() as f64).sqrt(), thesis_p: thesis[0],
             thesis_v: thesis[1], thesis_u: thesis[2], ratio_p: ratio[0], ratio_v: ratio[1], ratio_u: ratio[2],
             error_p_over_weight: error_p / (PlaneStrain::WEIGHT * self.strain.distance(dx)),
-            // Both are solved together: each report has the iterations of the coupled solve.
-            status: Ended::new(&solves).name(TOLERANCE), iterations: solves[0].iterations, seconds: seconds,
-        }
+        };
+        row.with(solve_columns(&done.report, TOLERANCE, seconds))
     }
 }
 

@@ -12,11 +12,10 @@ use std::time::Instant;
 
 use super::{MOST_ITERATIONS, Options, TOLERANCE};
 use crate::Error;
-use crate::elastic::Solids;
 use crate::measure::bench::ended::{Ended, is_solved};
 use crate::measure::bench::solve::bricks_across;
 use crate::measure::bench::statistics::{Spread, exponent, grouped};
-use crate::measure::bench::sub_step::{density, open_paths, stage_seconds, sub_step};
+use crate::measure::bench::sub_step::{open_paths, stage_seconds, sub_step};
 use crate::measure::bench::table::{Row, Value, columns, row};
 use crate::measure::bench::{Case as BenchCase, Rows, Run, rounds};
 use crate::reference::{
@@ -24,7 +23,7 @@ use crate::reference::{
     solid_matrices, solve_coupled,
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
-use crate::sim::{Backend, GpuPath, Simulation, reference_path};
+use crate::sim::{Backend, Simulation, reference_path};
 use crate::state::{SolveReport, State};
 use crate::step::Stage;
 
@@ -130,8 +129,7 @@ type Size = (usize, usize);
 /// A state of a run, and the system of the sub-step after it.
 struct Case<'a> {
     size: Size,
-    scene: &'a Scene,
-    solids: &'a Solids,
+    dam: &'a Simulation,
     state: &'a State,
     system: CoupledSystem,
     stress: StressVariables,
@@ -242,8 +240,7 @@ impl<'a> Case<'a> {
         Ok(Case {
             stress: StressVariables::new(solids, &deformed.deformations, |body| body.zeta_stiffness(dt)),
             size,
-            scene,
-            solids,
+            dam,
             state,
             system,
             dt,
@@ -253,9 +250,9 @@ impl<'a> Case<'a> {
 
     /// Columns that all rows of the state have.
     fn row(&self, table: &str, names: [&str; 4]) -> Row {
-        let [formulation, solver, backend, precision] = names;
+        let ([formulation, solver, backend, precision], solids) = (names, self.dam.solids());
         row! {
-            table: table, grid: self.size.0, nodes: self.solids.rest.len(), elements: self.solids.elements.len(), frame: self.state.frame,
+            table: table, grid: self.size.0, nodes: solids.rest.len(), elements: solids.elements.len(), frame: self.state.frame,
             dt: self.dt, sub_steps_per_frame: self.sub_steps_per_frame(), formulation: formulation, solver: solver, backend: backend,
             precision: precision, unknowns: self.system.pressure.n_unknowns(), solid_unknowns: self.system.solid.n_unknowns(),
         }
@@ -299,21 +296,6 @@ impl<'a> Case<'a> {
         }
     }
 
-    /// Paths of the device with each precision and form, compiled.
-    fn devices(&self, options: &Options) -> Result<Vec<(Precision, GpuPath)>, Error> {
-        let precisions = options.precisions.iter().flat_map(|&precision| {
-            [Formulation::Auto, Formulation::TwoField].map(|formulation| self.settings(precision, formulation))
-        });
-        // In f32 both forms are the same.
-        let solvers =
-            precisions.filter(|solver| solver.precision != Precision::F32 || solver.formulation == Formulation::Auto);
-        open_paths(self.scene, solvers, self.state, &options.adapter)
-    }
-
-    fn settings(&self, precision: Precision, formulation: Formulation) -> Solver {
-        Solver { tolerance: TOLERANCE, max_iterations: MOST_ITERATIONS, precision, formulation, ..self.scene.solver }
-    }
-
     /// Seconds of the stages of the f64 path other than the solve.
     fn other_stages(&self, path: &mut Reference) -> Result<f64, Error> {
         path.reset(self.state.clone())?;
@@ -323,8 +305,23 @@ impl<'a> Case<'a> {
 
     /// A row per form on the CPU and per path of the device, solved in rounds.
     fn solved(&self, run: &mut Run, table: &str, forms: &[Form], options: &Options) -> Result<Vec<Row>, Error> {
-        let mut devices = self.devices(options)?;
-        let exact = self.settings(Precision::F64, Formulation::Auto);
+        let (scene, solids) = (self.dam.scene(), self.dam.solids());
+        let settings = |precision, formulation| Solver {
+            tolerance: TOLERANCE,
+            max_iterations: MOST_ITERATIONS,
+            precision,
+            formulation,
+            ..scene.solver
+        };
+        let exact = settings(Precision::F64, Formulation::Auto);
+        // In f32 both forms are the same.
+        let forms_in = |precision| match precision {
+            Precision::F32 => &[Formulation::Auto][..],
+            _ => &[Formulation::Auto, Formulation::TwoField],
+        };
+        let solvers =
+            options.precisions.iter().flat_map(|&it| forms_in(it).iter().map(move |&form| settings(it, form)));
+        let mut devices = open_paths(scene, solvers, self.state, &options.adapter)?;
         let mut path = self.path.clone();
         let mut sub_steps = vec![Vec::new(); devices.len()];
         let [grid, frame] = [self.size.0, self.state.frame as usize];
@@ -336,13 +333,13 @@ impl<'a> Case<'a> {
             }
             if let Some(&form) = forms.get(job - 1) {
                 let clock = Instant::now();
-                let found = solve_coupled(&self.system, form, &SolidSolver::new(self.solids), self.solids, &exact)?;
+                let found = solve_coupled(&self.system, form, &SolidSolver::new(solids), solids, &exact)?;
                 let seconds = clock.elapsed().as_secs_f64();
                 return Ok((seconds, (found.reports.to_vec(), false)));
             }
             let device = job - 1 - forms.len();
             let path = &mut devices[device].1;
-            let done = sub_step(path, self.state, density(self.scene))?;
+            let done = sub_step(path, self.state)?;
             path.write_state(self.state)?;
             sub_steps[device].push(path.step_observed(&mut |_, _| Ok(()))?.seconds_total);
             let condensed = done.report.coupling.is_some_and(|both| both.condensed);
@@ -403,11 +400,7 @@ fn printed(table: &str, quantity: &str, grid: usize, nodes: usize, form: &str) -
     match table {
         "6.2" => {
             let (_, on_grid) = PRINTED_6_2.iter().find(|(cells, _)| *cells == grid)?;
-            let at = match quantity {
-                "nonzeros" => 0,
-                "seconds" => 2,
-                _ => 1,
-            };
+            let at = ["nonzeros", "log10_condest", "seconds"].iter().position(|name| *name == quantity).unwrap_or(1);
             Some(on_grid[at][usize::from(!other)])
         }
         "6.3" => beams(&PRINTED_6_3),
