@@ -416,9 +416,21 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         if let Some(liquid) = report.liquid {
             outflow += liquid.exchange.map_or(0.0, Exchange::outflow);
             missing.push(budget.missing(&liquid.diagnosis, outflow));
-            check_lost(row, lost(&missing));
+            let lost = lost(&missing);
+            row.set("lost", lost);
+            if lost > MOST_LOST {
+                fail_step(row, format!("more than {} % of the liquid lost", 100.0 * MOST_LOST));
+            }
         }
-        record_counts(row, scene, &report);
+        let missed = report.solves().any(|solve| solve.status != SolveStatus::Converged);
+        count(row, missed, report.solid.is_some_and(|solid| solid.contact.unsettled > 0));
+        if let Some(coupling) = report.coupling {
+            raise(row, "overlap", coupling.overlap_depth / scene.grid().dx);
+        }
+        let most = report.solves().map(|solve| solve.iterations as usize).max().unwrap_or(0);
+        if most > row.count("most_iterations") {
+            row.set("most_iterations", most);
+        }
         let bad = non_finite(&state, &report);
         row.set("non_finite", bad);
         if bad > 0 {
@@ -446,28 +458,6 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         }
     }
     Ok(())
-}
-
-/// Checks the share of the liquid that is lost.
-fn check_lost(row: &mut Row, lost: f64) {
-    row.set("lost", lost);
-    if lost > MOST_LOST {
-        let percent = 100.0 * MOST_LOST;
-        fail_step(row, format!("more than {percent} % of the liquid lost"));
-    }
-}
-
-/// Records missed tolerances, unsettled contacts, overlaps and iterations of a sub-step.
-fn record_counts(row: &mut Row, scene: &Scene, report: &StepReport) {
-    let missed = report.solves().any(|solve| solve.status != SolveStatus::Converged);
-    count(row, missed, report.solid.is_some_and(|solid| solid.contact.unsettled > 0));
-    if let Some(coupling) = report.coupling {
-        raise(row, "overlap", coupling.overlap_depth / scene.grid().dx);
-    }
-    let most = report.solves().map(|solve| solve.iterations as usize).max().unwrap_or(0);
-    if most > row.count("most_iterations") {
-        row.set("most_iterations", most);
-    }
 }
 
 /// Largest fraction of a bound of each case, and a mark at the bound.
