@@ -264,6 +264,11 @@ pub struct StepReport {
 }
 
 impl StepReport {
+    /// Whether liquid and solids touch.
+    pub fn touching(&self) -> bool {
+        self.coupling.is_some_and(|both| both.touching)
+    }
+
     /// The pressure solve and the velocity solve of the solids.
     pub fn solves(&self) -> impl Iterator<Item = SolveReport> {
         let liquid = self.liquid.map(|liquid| liquid.solve);

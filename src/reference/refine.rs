@@ -113,7 +113,7 @@ pub(super) fn refine(
 }
 
 /// The reduction still required from x, at most 1; `None` if its true residual passes.
-pub(crate) fn part_left(system: &impl LinearSystem, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
+pub(crate) fn part_left(system: &dyn LinearSystem, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
     system.project(&mut x);
     let parts = system.parts(&x);
     let norm_of = |part: &Part| norm(&system.rhs()[part.range.clone()]);
@@ -124,7 +124,7 @@ pub(crate) fn part_left(system: &impl LinearSystem, tolerance: f64, mut x: Vec<f
 
 /// As `refine`, with a report per part; iterations and status are those of the whole.
 pub(crate) fn refine_parts(
-    system: &impl LinearSystem,
+    system: &dyn LinearSystem,
     settings: &Solver,
     mut correct: impl FnMut(&[f64], f64, u32) -> Correction,
 ) -> (Vec<f64>, Vec<SolveReport>) {

@@ -74,18 +74,14 @@ columns! {
         scene = "" "name of the scene";
         frame + "" "frame of the state";
     }
+    CELLS { cells - "" "cells of the domain"; }
     SIZES {
-        cells - "" "cells of the domain";
         unknowns - "" "of the pressure";
         solid_unknowns - "" "of the solids";
     }
     PROBLEM {
         problem + "" "`elastic_block`, `pool_at_rest` or `dam_release`";
         grid + "" "cells along 1 m";
-    }
-    GRID_SIZES {
-        unknowns - "" "of the pressure";
-        solid_unknowns - "" "of the solids";
     }
     TARGET { target + "" "bound of the errors"; }
     PRECISION { precision + "" "`f32`, `mixed` or `f64`"; }
@@ -127,13 +123,13 @@ fn bench() -> Bench {
     Bench {
         name: "accuracy",
         tables: vec![
-            Table::new("accuracy", &[STATE, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS], state),
-            Table::new("accuracy_best", &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS], &[]),
             Table::new(
-                "accuracy_grids",
-                &[PROBLEM, GRID_SIZES, PRECISION, TOLERANCE, STATUS, TIME, GRID_ERRORS],
-                problem,
+                "accuracy",
+                &[STATE, CELLS, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS],
+                state,
             ),
+            Table::new("accuracy_best", &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS], &[]),
+            Table::new("accuracy_grids", &[PROBLEM, SIZES, PRECISION, TOLERANCE, STATUS, TIME, GRID_ERRORS], problem),
             Table::new("accuracy_grids_best", &[PROBLEM, TARGET, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
             Table::new("accuracy_grids_enough", &[PROBLEM, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
         ],

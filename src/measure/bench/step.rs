@@ -142,12 +142,6 @@ struct Sample {
     trace: Trace,
 }
 
-impl Sample {
-    fn touching(&self) -> bool {
-        self.report.coupling.is_some_and(|both| both.touching)
-    }
-}
-
 fn path_of(simulation: &Simulation) -> &GpuPath {
     simulation.gpu_path().expect("benches run on the GPU path")
 }
@@ -185,7 +179,7 @@ impl Record<'_> {
             });
             let sample = Sample { seconds, report, idle_seconds: traffic.idle_seconds, numbers, trace };
             // The first of a kind compiles.
-            if std::mem::replace(&mut kinds[usize::from(sample.touching())], true) {
+            if std::mem::replace(&mut kinds[usize::from(sample.report.touching())], true) {
                 samples.push(sample);
             }
         }
@@ -204,12 +198,12 @@ impl Record<'_> {
     /// Refuses a run with other sub-steps than the first: rows compare them one by one.
     fn ensure_repeated(&self) -> Result<(), Error> {
         let [first, .., again] = &self.repeats[..] else { return Ok(()) };
-        let kinds = |repeat: &[Sample]| repeat.iter().map(Sample::touching).collect::<Vec<_>>();
+        let kinds = |repeat: &[Sample]| repeat.iter().map(|sample| sample.report.touching()).collect::<Vec<_>>();
         if kinds(first) == kinds(again) {
             return Ok(());
         }
         let [first, again] = [first, again].map(|repeat| {
-            let touching = repeat.iter().filter(|sample| sample.touching());
+            let touching = repeat.iter().filter(|sample| sample.report.touching());
             format!("{} sub-steps, {} touching", repeat.len(), touching.count())
         });
         Err(Error::Check(format!(
@@ -222,7 +216,7 @@ impl Record<'_> {
     fn rows(&self) -> Rows {
         let mut rows = Vec::new();
         for (kind, touching) in [("apart", false), ("touching", true)] {
-            let of_kind = |sample: &&Sample| sample.touching() == touching;
+            let of_kind = |sample: &&Sample| sample.report.touching() == touching;
             let repeats: Vec<Vec<&Sample>> =
                 self.repeats.iter().map(|repeat| repeat.iter().filter(of_kind).collect()).collect();
             if !repeats[0].is_empty() {

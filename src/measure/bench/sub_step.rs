@@ -129,11 +129,9 @@ pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
 pub(super) fn solve_columns(report: &StepReport, tolerance: f64, seconds: Spread) -> Row {
     let unknowns = |solve: Option<SolveReport>| solve.map_or(0, |solve| solve.unknowns);
     let solves: Vec<SolveReport> = report.solves().collect();
-    let iterations = match report.coupling {
-        // In a coupled solve each report has all iterations.
-        Some(both) if both.touching => solves[0].iterations,
-        _ => solves.iter().map(|solve| solve.iterations).sum(),
-    };
+    let iterations = solves.iter().map(|solve| solve.iterations);
+    // In a coupled solve each report has all iterations.
+    let iterations: u32 = if report.touching() { solves[0].iterations } else { iterations.sum() };
     row! {
         unknowns: unknowns(report.liquid.map(|liquid| liquid.solve)), solid_unknowns: unknowns(report.solid.map(|solid| solid.solve)),
         status: Ended::new(&solves).name(tolerance), iterations: iterations, seconds: seconds,

@@ -86,11 +86,6 @@ impl Exact {
             Exact::Dam => WEIGHT * DAM,
         }
     }
-
-    /// Whether nothing should move.
-    pub(super) fn rests(self) -> bool {
-        self != Exact::Dam
-    }
 }
 
 /// Pressure over rho g H at the instant when a dam of width and height H is removed; `x` and `y` over H. The column is free at the top and at

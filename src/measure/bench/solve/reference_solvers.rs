@@ -117,7 +117,7 @@ impl Definite<'_> {
                 if !is_first {
                     return None;
                 }
-                let left = self.part_left(x, settings.tolerance)?;
+                let left = part_left(self.system(), settings.tolerance, self.scatter(x))?;
                 let gains = std::mem::replace(&mut before, left) <= STAGNATION * left;
                 gains.then_some(left)
             };
@@ -127,12 +127,11 @@ impl Definite<'_> {
         })
     }
 
-    /// Remaining part of the residual reduction; `None` once the residual passes.
-    fn part_left(&self, unknowns: &[f64], tolerance: f64) -> Option<f64> {
-        let x = |rhs: &[f64]| self.scatter(unknowns, rhs.len());
+    /// The system whose residuals count.
+    fn system(&self) -> &dyn LinearSystem {
         match self {
-            Definite::Pressure { system, .. } => part_left(*system, tolerance, x(system.rhs())),
-            Definite::Both { system, .. } => part_left(*system, tolerance, x(system.rhs())),
+            Definite::Pressure { system, .. } => *system,
+            Definite::Both { system, .. } => *system,
         }
     }
 
@@ -146,12 +145,9 @@ impl Definite<'_> {
         let correct = |residual: &[f64], tolerance: f64, left: u32| {
             let mut x = self.rhs(residual);
             let (iterations, end) = solve(&mut x, tolerance, left);
-            Correction { x: self.scatter(&x, residual.len()), iterations, end }
+            Correction { x: self.scatter(&x), iterations, end }
         };
-        match self {
-            Definite::Pressure { system, .. } => refine_parts(*system, settings, correct).1,
-            Definite::Both { system, .. } => refine_parts(*system, settings, correct).1,
-        }
+        refine_parts(self.system(), settings, correct).1
     }
 
     /// Right-hand side for a residual.
@@ -162,11 +158,11 @@ impl Definite<'_> {
         }
     }
 
-    /// Vector of the system whose residuals count, of length `len`.
-    fn scatter(&self, unknowns: &[f64], len: usize) -> Vec<f64> {
+    /// Vector of the system whose residuals count.
+    fn scatter(&self, unknowns: &[f64]) -> Vec<f64> {
         match self {
-            Definite::Pressure { cells, .. } => {
-                let mut x = vec![0.0; len];
+            Definite::Pressure { system, cells } => {
+                let mut x = vec![0.0; system.rhs.len()];
                 for (&cell, &value) in cells.iter().zip(unknowns) {
                     x[cell] = value;
                 }

@@ -99,7 +99,6 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     });
     let converged = SolveStatus::Converged.name();
     let ended = ended.min_by_key(|&word| (is_solved(word), word == converged));
-    let touching = |report: &&StepReport| report.coupling.is_some_and(|both| both.touching);
     let spread = |seconds: &dyn Fn(&StepReport) -> f64| Spread::of(reports.iter().map(seconds).collect());
     let timestamps = simulation.adapter().is_some_and(|adapter| adapter.timestamps);
     let stages_spread = |stages: &[&str]| timestamps.then(|| spread(&|report| stage_seconds(report, stages)));
@@ -109,7 +108,7 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
         table: "6.1", name: name, scene: scene.name.as_str(), scale: scene.scale, precision: scene.solver.precision,
         cells: scene.grid().n_cells(), thesis_cells: grid.pow(3), nodes: solids.rest.len(), thesis_nodes: nodes,
         elements: solids.elements.len(), thesis_elements: elements, sub_steps: reports.len(),
-        touching: reports.iter().filter(touching).count(), status: ended.unwrap_or(converged), seconds: spread(&|report| report.seconds_total),
+        touching: reports.iter().filter(|report| report.touching()).count(), status: ended.unwrap_or(converged), seconds: spread(&|report| report.seconds_total),
         projection: stages_spread(&PROJECTION), solve_median: stages_spread(&["solve"]).map(|solve| solve.median),
         sub_steps_per_frame: reports.len() as f64 / (time * scene.time.frames_per_second),
     })

@@ -296,13 +296,6 @@ impl<'a> Case<'a> {
         }
     }
 
-    /// Seconds of the stages of the f64 path other than the solve.
-    fn other_stages(&self, path: &mut Reference) -> Result<f64, Error> {
-        path.reset(self.state.clone())?;
-        let step = path.step(path.next_time_step())?;
-        Ok(step.seconds_total - stage_seconds(&step, &[Stage::Solve.name()]))
-    }
-
     /// A row per form on the CPU and per path of the device, solved in rounds.
     fn solved(&self, run: &mut Run, table: &str, forms: &[Form], options: &Options) -> Result<Vec<Row>, Error> {
         let (scene, solids) = (self.dam.scene(), self.dam.solids());
@@ -329,7 +322,10 @@ impl<'a> Case<'a> {
         // Jobs: the other stages of the f64 path, the forms, the devices. Outcomes: reports, and whether the device used the Schur complement.
         let timed = rounds(run, &what, 1 + forms.len() + devices.len(), |job| {
             if job == 0 {
-                return Ok((self.other_stages(&mut path)?, (Vec::new(), false)));
+                path.reset(self.state.clone())?;
+                let step = path.step(path.next_time_step())?;
+                let others = step.seconds_total - stage_seconds(&step, &[Stage::Solve.name()]);
+                return Ok((others, (Vec::new(), false)));
             }
             if let Some(&form) = forms.get(job - 1) {
                 let clock = Instant::now();
