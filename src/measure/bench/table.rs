@@ -40,7 +40,9 @@ macro_rules! values {
 }
 values! {
     bool: |flag| Value::Flag(flag);
-    i64, usize, u32, u64: |n| Value::Count(n.try_into().expect("a count fits into 63 bits"));
+    i64: |n| Value::Count(n);
+    u32: |n| Value::Count(n.into());
+    usize, u64: |n| Value::Count(n.try_into().expect("a count fits into 63 bits"));
     f64: |x| Value::Number(x);
     Spread: |spread| Value::Spread(spread);
     // An empty text is no value, as in a CSV file.

@@ -112,11 +112,11 @@ fn bench() -> Bench {
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
     let gpu = Gpu::new(&options.adapter)?;
-    let scenes = scenes::load(options, gpu.has_f64())?;
+    let scenes = scenes::cases(options, gpu.has_f64())?;
     let machine = Machine::new(&gpu, settings.repeats)?;
     let request = (options.scale, options.steps, &options.precisions);
     let mut run = Run::start(bench(), machine, &request, settings, listener)?;
-    run.cases(scenes::cases(&scenes, options))?;
+    run.cases(scenes)?;
     run.cases(systems::cases(options))?;
     let mut cases = Vec::new();
     for problem in options.tables.iter().filter_map(|table| errors::Problem::from_table(table)) {

@@ -52,14 +52,14 @@ columns! {
     }
 }
 
-/// The scenes of table 6.1 in each precision, if the table is selected; `f64`: whether the device has it.
+/// A case per scene of table 6.1 and precision, if the table is selected; `f64`: whether the device has it.
 ///
 /// # Errors
 /// [`Error::Input`] for a missing scene, and errors of its file.
-pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, Error> {
-    let mut scenes = Vec::new();
+pub(super) fn cases(options: &Options, f64: bool) -> Result<Vec<Case<'_>>, Error> {
+    let mut cases = Vec::new();
     if !options.tables.iter().any(|table| table == "6.1") {
-        return Ok(scenes);
+        return Ok(cases);
     }
     for (number, (_, scene, ..)) in PRINTED.iter().enumerate() {
         let file = options.scenes.join(format!("{scene}.toml"));
@@ -72,19 +72,14 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
         }
         for &precision in options.precisions.iter().filter(|&&precision| f64 || precision != Precision::F64) {
             let precision = format!("solver.precision={}", precision.name());
-            scenes.push((number, Scene::load(&file, &[precision], options.scale)?));
+            let scene = Scene::load(&file, &[precision], options.scale)?;
+            let key = row! { scene: scene.name.as_str(), precision: scene.solver.precision };
+            cases.push(Case::new("thesis_scenes", key, move |_| {
+                Ok(vec![("thesis_scenes", measure(number, &scene, options)?)])
+            }));
         }
     }
-    Ok(scenes)
-}
-
-/// A case per scene.
-pub(super) fn cases<'c>(scenes: &'c [(usize, Scene)], options: &'c Options) -> Vec<Case<'c>> {
-    let cases = scenes.iter().map(|(number, scene)| {
-        let key = row! { scene: scene.name.as_str(), precision: scene.solver.precision };
-        Case::new("thesis_scenes", key, move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)]))
-    });
-    cases.collect()
+    Ok(cases)
 }
 
 fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error> {
