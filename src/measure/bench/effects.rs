@@ -127,16 +127,17 @@ fn failure(row: &Row) -> String {
 
 /// A scene that is timed.
 struct Timed {
+    scene: Scene,
     simulation: Simulation,
     /// Number of buffers at the start.
     at_start: usize,
 }
 
 impl Timed {
-    fn new(scene: &Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
-        let simulation = Simulation::new(scene, &Backend::Gpu(adapter.clone()))?;
+    fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
+        let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
         let at_start = simulation.gpu().map_or(0, |gpu| gpu.allocated().len());
-        Ok(Timed { simulation, at_start })
+        Ok(Timed { scene, simulation, at_start })
     }
 
     fn gpu(&self) -> &Gpu {
@@ -150,12 +151,11 @@ impl Timed {
     /// Times a sub-step from a state of the whole scene, with its probes.
     fn time(&mut self, state: &State) -> Result<Cost, Error> {
         let mut state = state.clone();
-        let scene = self.simulation.scene();
-        if scene.solids.is_empty() {
+        if self.scene.solids.is_empty() {
             state.displacement.clear();
             state.node_velocity.clear();
         }
-        if !Effects::of(scene).markers {
+        if !Effects::of(&self.scene).markers {
             state.markers.clear();
         }
         // Without sources there is no room for emitted markers.
@@ -207,7 +207,7 @@ fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Row
         states.push(simulation.state()?);
     }
     drop(simulation);
-    let mut whole = Timed::new(scene, &options.adapter)?;
+    let mut whole = Timed::new(scene.clone(), &options.adapter)?;
     let mut parts = parts(scene, options)?;
     let mut random = fastrand::Rng::with_seed(SEED);
     // The first compiles and warms caches.
@@ -257,8 +257,7 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
         scenes.push((name, without));
     }
     scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
-    let part =
-        |(name, scene): (_, Scene)| Ok(Part { name, timed: Timed::new(&scene, &options.adapter)?, pairs: Vec::new() });
+    let part = |(name, scene)| Ok(Part { name, timed: Timed::new(scene, &options.adapter)?, pairs: Vec::new() });
     scenes.into_iter().map(part).collect()
 }
 

@@ -3,6 +3,7 @@
 //! The writers of a run write frames, each output alone, in a shuffled order. The read-back of the state, which precedes all of them, has its own row,
 //! `read_back`. An inactive output costs nothing: it has no writer.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -47,10 +48,6 @@ struct Output<'a> {
     /// Writer of the frame that it draws, not timed: a run writes the frame anyway.
     drawn: Option<FrameWriter>,
     make: Make<'a>,
-    /// Seconds of each frame but the warm-up.
-    seconds: Vec<f64>,
-    /// Bytes of these frames.
-    bytes: u64,
 }
 
 /// Folder for timed frames, below that of the results; removed on drop.
@@ -96,12 +93,13 @@ pub fn measure(
     // The preview needs a first frame. It is the warm-up state: the picture of a timed one would exist already.
     simulation.reset(&states[0])?;
     let mut outputs = outputs(scene, simulation, &surfaces, folder)?;
-    let mut order: Vec<usize> = (0..outputs.len()).collect();
+    let order: Vec<(&'static str, bool)> = outputs.iter().map(|it| (it.name, it.present)).collect();
+    let mut seconds: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+    let mut bytes: BTreeMap<&'static str, u64> = BTreeMap::new();
     for (sample, state) in states.iter().enumerate() {
         simulation.reset(state)?;
-        random.shuffle(&mut order);
-        for &at in &order {
-            let Output { name, drawn, make, seconds, bytes, .. } = &mut outputs[at];
+        random.shuffle(&mut outputs);
+        for Output { name, drawn, make, .. } in &mut outputs {
             let run = folder.join(*name);
             if let Some(writer) = drawn {
                 write_all(writer, &surfaces, simulation, state)?;
@@ -112,20 +110,21 @@ pub fn measure(
             make(simulation, state)?;
             let elapsed = clock.elapsed().as_secs_f64();
             if sample > 0 {
-                seconds.push(elapsed);
-                *bytes += bytes_in(&run)?.saturating_sub(before);
+                seconds.entry(name).or_default().push(elapsed);
+                *bytes.entry(name).or_default() += bytes_in(&run)?.saturating_sub(before);
             }
         }
     }
-    for run in outputs.iter().map(|output| folder.join(output.name)).filter(|run| run.is_dir()) {
+    for run in order.iter().map(|(name, _)| folder.join(name)).filter(|run| run.is_dir()) {
         fs::remove_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
     }
-    let rows = outputs.into_iter().map(|Output { name, present, seconds, bytes, .. }| {
+    let rows = order.into_iter().map(|(output, present)| {
+        let seconds = seconds.remove(output).unwrap_or_default();
         let frames = seconds.len();
         let [low, median, high] = Spread::quartiles(seconds);
         row! {
-            scene: scene.name.as_str(), output: name, present: present, seconds: median, seconds_low: low, seconds_high: high,
-            bytes: bytes / frames as u64, frames: frames,
+            scene: scene.name.as_str(), output: output, present: present, seconds: median, seconds_low: low, seconds_high: high,
+            bytes: bytes[output] / frames as u64, frames: frames,
         }
     });
     Ok(rows.collect())
@@ -141,9 +140,7 @@ fn outputs<'a>(
     let kinds = FrameKinds::of(scene);
     let writer = |name: &str, kinds| FrameWriter::create(&folder.join(name), &scene.name, scene.grid(), kinds);
     let mut outputs: Vec<Output> = Vec::new();
-    let mut add = |name, present, drawn, make| {
-        outputs.push(Output { name, present, drawn, make, seconds: Vec::new(), bytes: 0 });
-    };
+    let mut add = |name, present, drawn, make| outputs.push(Output { name, present, drawn, make });
     add("read_back", true, None, Box::new(|simulation, _| simulation.state().map(drop)));
     for (name, present, kinds) in frame_kinds(scene, &kinds) {
         let mut writer = writer(name, kinds)?;

@@ -82,8 +82,8 @@ pub(super) fn open_paths(
     Ok(paths)
 }
 
-/// Computes the sub-step after a state. The seconds of the solve include its set-up: active cells and hierarchy, rotations of the elements,
-/// right-hand sides.
+/// Computes the sub-step after a state. The seconds of the solve include its set-up: active cells and hierarchy, rotations of
+/// the elements, right-hand sides.
 pub(super) fn sub_step(path: &mut GpuPath, state: &State) -> Result<Done, Error> {
     path.write_state(state)?;
     let mut clock = None;
@@ -133,7 +133,8 @@ pub(super) fn solve_columns(report: &StepReport, tolerance: f64, seconds: Spread
     // In a coupled solve each report has all iterations.
     let iterations: u32 = if report.touching() { solves[0].iterations } else { iterations.sum() };
     row! {
-        unknowns: unknowns(report.liquid.map(|liquid| liquid.solve)), solid_unknowns: unknowns(report.solid.map(|solid| solid.solve)),
+        unknowns: unknowns(report.liquid.map(|liquid| liquid.solve)),
+        solid_unknowns: unknowns(report.solid.map(|solid| solid.solve)),
         status: Ended::new(&solves).name(tolerance), iterations: iterations, seconds: seconds,
     }
 }

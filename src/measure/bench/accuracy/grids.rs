@@ -41,8 +41,8 @@ pub(super) fn measure(run: &mut Run, problem: Exact, grid: usize, options: &Opti
         let (tolerance, done) = (options.tolerances[job % n], &timed.outcome);
         let [error_p, error_u] = errors(problem, &scene, &mask, done);
         let row = row! {
-            problem: problem.name(), grid: grid, precision: paths[job / n].0, tolerance: tolerance, error_p: error_p, grid_error_p: grid_p,
-            error_u: rests.then_some(error_u), grid_error_u: rests.then_some(grid_u),
+            problem: problem.name(), grid: grid, precision: paths[job / n].0, tolerance: tolerance, error_p: error_p,
+            grid_error_p: grid_p, error_u: rests.then_some(error_u), grid_error_u: rests.then_some(grid_u),
         };
         ("accuracy_grids", row.with(solve_columns(&done.report, tolerance, timed.spread())))
     });

@@ -154,8 +154,9 @@ impl Problem {
         let ratio = [0, 1, 2].map(|of: usize| thesis[of].map(|printed| errors[of] / printed));
         let dx = scene.grid().dx;
         let row = row! {
-            table: self.table, grid: grid, dx: dx, error_p: error_p, error_v: error_v, error_u: error_u, rms_v: norm(velocities) / (velocities.len() as f64).sqrt(), thesis_p: thesis[0],
-            thesis_v: thesis[1], thesis_u: thesis[2], ratio_p: ratio[0], ratio_v: ratio[1], ratio_u: ratio[2],
+            table: self.table, grid: grid, dx: dx, error_p: error_p, error_v: error_v, error_u: error_u,
+            rms_v: norm(velocities) / (velocities.len() as f64).sqrt(), thesis_p: thesis[0], thesis_v: thesis[1], thesis_u: thesis[2],
+            ratio_p: ratio[0], ratio_v: ratio[1], ratio_u: ratio[2],
             error_p_over_weight: error_p / (PlaneStrain::WEIGHT * self.strain.distance(dx)),
         };
         row.with(solve_columns(&done.report, TOLERANCE, seconds))

@@ -103,7 +103,8 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
         table: "6.1", name: name, scene: scene.name.as_str(), scale: scene.scale, precision: scene.solver.precision,
         cells: scene.grid().n_cells(), thesis_cells: grid.pow(3), nodes: solids.rest.len(), thesis_nodes: nodes,
         elements: solids.elements.len(), thesis_elements: elements, sub_steps: reports.len(),
-        touching: reports.iter().filter(|report| report.touching()).count(), status: ended.unwrap_or(converged), seconds: spread(&|report| report.seconds_total),
+        touching: reports.iter().filter(|report| report.touching()).count(), status: ended.unwrap_or(converged),
+        seconds: spread(&|report| report.seconds_total),
         projection: stages_spread(&PROJECTION), solve_median: stages_spread(&["solve"]).map(|solve| solve.median),
         sub_steps_per_frame: reports.len() as f64 / (time * scene.time.frames_per_second),
     })
