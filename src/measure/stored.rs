@@ -5,20 +5,17 @@ use std::sync::Arc;
 use crate::elastic::Solids;
 use crate::geometry::Coupling;
 use crate::reference::{
-    ActiveCells, BlockPattern, CoupledSystem, PressureSystem, RightHandSide, SolidSystem, right_hand_side,
+    ActiveCells, BlockPattern, CoupledSystem, PressureSystem, RightHandSide, SolidSystem, remove_means, right_hand_side,
 };
 use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot, coupled_system, stored_coupling};
 
 /// The system of the pressure in SI units.
 pub(super) fn pressure_system(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt: f64) -> PressureSystem {
     let active = liquid.active_cells(path.grid());
-    let rhs = inflow_of(path, liquid, &active, &liquid.rhs);
-    let mut system = PressureSystem::new(active, rhs, dt, density);
-    let mut values = std::mem::take(&mut system.rhs);
+    let mut rhs = inflow_of(path, liquid, &active, &liquid.rhs);
     // Remainders of rounding to f32 on devices without f64.
-    system.remove_closed_means(&mut values);
-    system.rhs = values;
-    system
+    remove_means(&active.closed, &mut rhs.values);
+    PressureSystem::new(active, rhs, dt, density)
 }
 
 /// E u* in m^3/s, from values in m/s.

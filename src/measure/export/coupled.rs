@@ -17,27 +17,18 @@ use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
 use crate::step::Stage;
 
-/// Coupled system of a sub-step and its solution.
-struct Coupled {
-    system: CoupledSystem,
-    /// Pa.
-    pressure: Vec<f64>,
-    /// m/s
-    velocity: Vec<[f64; 3]>,
-    variables: StressVariables,
-    sub_step: SubStep,
-}
+/// Coupled system of a sub-step, pressures, Pa, and velocities, m/s, of its solution, and its stress variables.
+type Coupled = (CoupledSystem, Vec<f64>, Vec<[f64; 3]>, StressVariables);
 
 /// A \[p; P v\] = rhs of thesis (5.25), with the constraint projector P of walls and obstacles, and the same problem in its other forms.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     ensure_system(scene, options)?;
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
-    let Coupled { system, pressure, velocity, variables, sub_step } = match &options.backend {
+    let ((system, mut x, velocity, variables), sub_step) = match &options.backend {
         Backend::Gpu(choice) => stored(scene, choice, options, density)?,
         Backend::Cpu => assembled(scene, options, &all)?,
     };
     // Constrained components are on the right-hand side.
-    let mut x = pressure;
     x.extend(system.solid.free_part(&velocity));
     let blocks = system.blocks();
     let n_cells = blocks.cells.len();
@@ -102,29 +93,24 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
 }
 
 /// The system of the f64 path.
-fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<Coupled, Error> {
-    let (((system, pressure, velocity), sub_step), path) = on_cpu(scene, options, |system| match system {
+fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<(Coupled, SubStep), Error> {
+    let ((system, pressure, velocity), sub_step) = on_cpu(scene, options, |system| match system {
         StepSystem::Coupled(system, pressure, velocity) => Some((system.clone(), pressure.to_vec(), velocity.to_vec())),
-        StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
+        _ => None,
     })?;
     let pattern = Arc::new(BlockPattern::new(all));
-    let deformations = solid_matrices(all, &pattern, &path.state().displacement).deformations;
-    Ok(Coupled {
-        system,
-        pressure,
-        velocity,
-        variables: StressVariables::new(all, &deformations, |body| match scene.solver.coupling {
-            CouplingScheme::DampingOnly => body.stiffness_damping,
-            CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(sub_step.dt),
-        }),
-        sub_step,
-    })
+    let deformations = solid_matrices(all, &pattern, &sub_step.displacement).deformations;
+    let variables = StressVariables::new(all, &deformations, |body| match scene.solver.coupling {
+        CouplingScheme::DampingOnly => body.stiffness_damping,
+        CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(sub_step.dt),
+    });
+    Ok(((system, pressure, velocity, variables), sub_step))
 }
 
 /// The system stored on the device.
-fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64) -> Result<Coupled, Error> {
+fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64) -> Result<(Coupled, SubStep), Error> {
     let mut inflow = Vec::new();
-    let (value, sub_step) = on_gpu(scene, choice, options, |stage, path, dt| {
+    on_gpu(scene, choice, options, |stage, path, dt| {
         if ![Stage::Solve, Stage::RightHandSide].contains(&stage) {
             return Ok(None);
         }
@@ -149,7 +135,5 @@ fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64
         }
         let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
         Ok(Some((system, pressure, solids.velocity.clone(), variables)))
-    })?;
-    let (system, pressure, velocity, variables) = value;
-    Ok(Coupled { system, pressure, velocity, variables, sub_step })
+    })
 }

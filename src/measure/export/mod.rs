@@ -27,7 +27,7 @@ use crate::Error;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::{FolderLock, write_atomically};
-use crate::reference::{Reference, StepSystem};
+use crate::reference::StepSystem;
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
 use crate::state::{Carried, SolveStatus, State, StepReport};
@@ -138,6 +138,8 @@ struct SubStep {
     dt: f64,
     report: StepReport,
     adapter: Option<String>,
+    /// Displacements of the nodes after it, m; of the f64 path only.
+    displacement: Vec<[f64; 3]>,
 }
 
 /// Runs a scene to a sub-step and writes the system of that sub-step. An earlier export is replaced, but only if there is a system to write.
@@ -252,17 +254,17 @@ fn on_gpu<T>(
         })?;
         if let Some(value) = value {
             let adapter = Some(path.gpu().report().name.clone());
-            return Ok((value, SubStep { dt, report, adapter }));
+            return Ok((value, SubStep { dt, report, adapter, displacement: Vec::new() }));
         }
     }
 }
 
-/// Runs the f64 path to a sub-step and returns a value of its system, and the path after it.
+/// Runs the f64 path to a sub-step and returns a value of its system.
 fn on_cpu<T>(
     scene: &Scene,
     options: &Options,
     mut read: impl FnMut(StepSystem) -> Option<T>,
-) -> Result<((T, SubStep), Reference), Error> {
+) -> Result<(T, SubStep), Error> {
     let step = options.step;
     let mut path = reference_path(scene)?;
     if let Some((state, _)) = &options.start {
@@ -279,7 +281,8 @@ fn on_cpu<T>(
             }
         })?;
         if let Some(value) = value {
-            return Ok(((value, SubStep { dt: time_step.dt, report, adapter: None }), path));
+            let displacement = path.state().displacement.clone();
+            return Ok((value, SubStep { dt: time_step.dt, report, adapter: None, displacement }));
         }
         if reached {
             return Err(no_system_of_both(step));

@@ -18,15 +18,11 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
             (stage == Stage::Solve).then(|| stored(path, density, dt)).transpose()
         })?,
-        Backend::Cpu => {
-            let read = |system: StepSystem| match system {
-                StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
-                StepSystem::Solid(..) | StepSystem::Coupled(..) => None,
-            };
-            on_cpu(scene, options, read)?.0
-        }
+        Backend::Cpu => on_cpu(scene, options, |system| match system {
+            StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
+            _ => None,
+        })?,
     };
-    let grid = scene.grid();
     let cells = system.stencil.active_cells();
     let active = |field: &[f64]| cells.iter().map(|&cell| field[cell]).collect::<Vec<f64>>();
     let written = System {
@@ -34,7 +30,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         rhs: active(&system.rhs),
         solution: active(&pressure),
         comments: ["B, m^3/s per Pa; cells.csv says which cell a row is", "E u*, m^3/s", "p, Pa"],
-        others: tables(&grid, &cells, &system.separated),
+        others: tables(&scene.grid(), &cells, &system.separated),
         part: json!({ "density": density, "closed_components": system.closed.len() }),
     };
     Ok((written, sub_step))
@@ -74,9 +70,6 @@ pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
 /// The system stored on the device, in SI units, and the pressure, Pa.
 fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
     let snapshot = path.snapshot()?.liquid.expect("the scene has liquid");
-    let mut system = stored::pressure_system(path, &snapshot, density, dt);
-    if snapshot.separated.contains(&true) {
-        system = system.masked(&snapshot.separated);
-    }
+    let system = stored::pressure_system(path, &snapshot, density, dt).masked(&snapshot.separated);
     Ok((system, stored::pressure(path, &snapshot, density, dt)))
 }

@@ -18,22 +18,19 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
             (stage == Stage::Solve).then(|| stored(path, dt)).transpose()
         })?,
-        Backend::Cpu => {
-            let read = |system: StepSystem| match system {
-                StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
-                StepSystem::Pressure(..) | StepSystem::Coupled(..) => None,
-            };
-            on_cpu(scene, options, read)?.0
-        }
+        Backend::Cpu => on_cpu(scene, options, |system| match system {
+            StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
+            _ => None,
+        })?,
     };
     let components = system.components();
     let free = |values: &[f64]| components.iter().map(|&at| values[at]).collect::<Vec<f64>>();
-    let mut others = vec![
+    let others = vec![
         symmetric("M.mtx", &system.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n"),
         symmetric("K.mtx", &system.stiffness_to_csr(), "K, N/m, rows as those of M"),
         symmetric("S.mtx", &system.to_csr(), "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M"),
+        ("nodes.csv", table(&solids, &components, 0)),
     ];
-    others.push(("nodes.csv", table(&solids, &components, 0)));
     let written = System {
         matrix: system.free_to_csr(),
         rhs: free(&system.rhs),
