@@ -199,17 +199,15 @@ impl<'a> Twins<'a> {
             report,
         });
         let both = both.as_ref();
-        if let (Stage::Solve, Some(twin), Some(after)) = (stage, &mut self.liquid, &after.liquid) {
-            twin.release(after, clip, both);
-        }
-        if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) =
-            (stage, both.filter(|both| both.touch()), &self.liquid, &mut self.solids)
-            && let Some(systems) = liquid.systems(both.liquid, both)
-        {
-            let density = self.scene.liquid.as_ref().map_or(0.0, |it| it.density);
-            solids.assembly(both.solids, both, density, systems)?;
-        }
         if let (Some(twin), Some(after)) = (&mut self.liquid, &after.liquid) {
+            if stage == Stage::Solve {
+                twin.release(after, clip, both);
+                if let (Some(both), Some(solids)) = (both.filter(|both| both.touch()), &mut self.solids)
+                    && let Some(systems) = twin.systems(after, both)
+                {
+                    solids.assembly(both, systems)?;
+                }
+            }
             twin.compare(stage, after, device.liquid, clip, both)?;
         }
         if let (Some(twin), Some(after)) = (&mut self.solids, &after.solids) {
@@ -236,20 +234,17 @@ fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, (gravity, dt
     let grid = scene.grid();
     let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
     let at_rest = (density * gravity).as_vec3().as_dvec3();
-    match scene.solver.pressure_on_patches {
-        PatchPressure::Cell => vec![DVec3::ZERO; grid.n_cells()],
-        PatchPressure::Hydrostatic => vec![at_rest; grid.n_cells()],
-        PatchPressure::Gradient => {
-            let pascal = if dt_last > 0.0 { density * grid.dx / dt_last } else { 0.0 };
-            let pressure: Vec<f64> = before.potential.iter().map(|phi| pascal * phi).collect();
-            let (open, active) = (&clip.cut_cells().open, &before.active);
-            let mut slopes = vec![at_rest; grid.n_cells()];
-            for (cell, _) in clip.coupling().cells() {
-                slopes[cell] = pressure_gradient(&grid, open, active, &pressure, at_rest, cell);
-            }
-            slopes
+    let kind = scene.solver.pressure_on_patches;
+    let mut slopes = vec![if kind == PatchPressure::Cell { DVec3::ZERO } else { at_rest }; grid.n_cells()];
+    if kind == PatchPressure::Gradient {
+        let pascal = if dt_last > 0.0 { density * grid.dx / dt_last } else { 0.0 };
+        let pressure: Vec<f64> = before.potential.iter().map(|phi| pascal * phi).collect();
+        let (open, active) = (&clip.cut_cells().open, &before.active);
+        for (cell, _) in clip.coupling().cells() {
+            slopes[cell] = pressure_gradient(&grid, open, active, &pressure, at_rest, cell);
         }
     }
+    slopes
 }
 
 /// The corners of a cube about the origin, with coordinates of 1 and -1.

@@ -336,29 +336,23 @@ impl<'a> SolidComparison<'a> {
 
     /// Row `assembly` of liquid and solids, before `solve` is compared: the solution of the coupled system as stored against that of the one assembled in
     /// f64. `systems`: unknowns and E u* of each.
-    pub(super) fn assembly(
-        &mut self,
-        after: &SolidSnapshot,
-        both: &Both,
-        density: f64,
-        systems: [(ActiveCells, Inflow); 2],
-    ) -> Result<(), Error> {
-        let (solids, dt, grid) = (&self.solids, self.dt, self.scene.grid());
-        let Some(matrices) = &self.matrices else { return Ok(()) };
+    pub(super) fn assembly(&mut self, both: &Both, systems: [(ActiveCells, Inflow); 2]) -> Result<(), Error> {
+        let (solids, dt, after) = (&self.solids, self.dt, both.solids);
+        let Some((matrices, liquid)) = self.matrices.as_ref().zip(self.scene.liquid.as_ref()) else { return Ok(()) };
         let exact = Solver { tolerance: 1e-12, max_iterations: 10_000, ..self.scene.solver };
         let solve = |(active, rhs), solid, coupling: &Coupling, density| {
             let system = coupled_system((active, &*both.liquid.separated), rhs, solid, coupling, density);
             reference::solve_coupled(&system, Formulation::of(&system), &self.solver, solids, &exact)
         };
         let [stored, assembled] = systems;
-        let (areas, weight) = stored_coupling(both.clip.coupling(), grid.dx, density, dt);
+        let (areas, weight) = stored_coupling(both.clip.coupling(), self.scene.grid().dx, liquid.density, dt);
         let solid = after.system(solids, &self.pattern, dt);
         let stored = solve(stored, solid, &areas, weight)?;
         // The right-hand side is the device's, compared in row `right_hand_side`: this row compares coefficients.
         let rhs = SolidRightHandSide { values: after.rhs.clone(), scale: 0.0 };
         let (stiffness, freedom) = (matrices.stiffness.clone(), after.freedom.clone());
         let solid = SolidSystem::new(solids, stiffness, &rhs, &after.velocity, freedom, dt);
-        let assembled = solve(assembled, solid, both.clip.coupling(), density)?;
+        let assembled = solve(assembled, solid, both.clip.coupling(), liquid.density)?;
         // The velocity of a fall during the step is the scale where nothing moves.
         let fall = dt * self.gravity.length();
         let scale = |values: &[f64]| largest(values.iter().map(|x| x.abs()));

@@ -230,7 +230,7 @@ impl LiquidComparison<'_> {
         let Some(level) = self.before.level.clone() else { return };
         let (grid, dt, gravity) = (self.grid, self.dt(), self.gravity());
         let (velocity, ballistic) = (&self.before.velocity, self.ballistic());
-        let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
+        let pushed = if Effects::of(self.scene).cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let advect = |slot: usize, start: [f64; 3]| {
             let mut one = Markers {
                 position: vec![start],

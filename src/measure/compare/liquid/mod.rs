@@ -6,6 +6,8 @@ mod pressure;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use pressure::unit_system;
+
 use super::table::{Numbers, Pair, Place, Table, components, flag, number, whole};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
@@ -191,16 +193,6 @@ impl<'a> LiquidComparison<'a> {
         Ok(())
     }
 
-    /// Apertures for the pressure: without the faces of sources.
-    fn open_to_pressure(&self) -> [Vec<f64>; 3] {
-        self.taps.pressure_apertures(&self.cut.open, self.running.running)
-    }
-
-    /// Apertures of the fluxes: with those of sources on their faces.
-    fn open_to_flux(&self) -> [Vec<f64>; 3] {
-        self.taps.flux_apertures(&self.cut.open, self.running.running)
-    }
-
     /// s
     fn dt(&self) -> f64 {
         self.step.dt.into()
@@ -216,14 +208,8 @@ impl<'a> LiquidComparison<'a> {
     }
 
     fn theta_floor(&self) -> ThetaFloor {
-        let single = |floor: f64| f64::from(floor as f32);
         let ThetaFloor { whole, closing } = self.scene.solver.theta_floor;
-        ThetaFloor { whole: single(whole), closing: single(closing) }
-    }
-
-    /// Whether obstacles or solids cut the grid.
-    fn cuts(&self) -> bool {
-        Effects::of(self.scene).cuts()
+        ThetaFloor { whole: f64::from(whole as f32), closing: f64::from(closing as f32) }
     }
 
     /// Clipping runs on the host, so the device stores its results in f32.
@@ -252,7 +238,7 @@ impl<'a> LiquidComparison<'a> {
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = if self.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
+        let pushed = if Effects::of(self.scene).cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let distance = reference::surface_distance(&grid, solid_distance, &self.before.liquid_distance);
         let surface = reference::Surface { distance: &distance, radius: f64::from(self.step.marker_radius) * grid.dx };
         let error = MarkerError::new(&grid, velocity, surface, dt);
@@ -475,7 +461,7 @@ impl<'a> LiquidComparison<'a> {
     fn active_cells(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
-        let open = self.open_to_pressure();
+        let open = self.taps.pressure_apertures(&self.cut.open, self.running.running);
         let mut twin = reference::active_cells(&grid, &open, phi, self.theta_floor());
         if let Some(both) = both {
             twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
@@ -498,19 +484,15 @@ impl<'a> LiquidComparison<'a> {
         self.twin.active = Some(twin);
     }
 
-    /// Source of volume control at the rate of the device.
-    fn source(&self) -> VolumeSource<'_> {
-        VolumeSource { rate: self.before.report.volume_rate, open_volumes: &self.open_volumes }
-    }
-
     /// Six products and their sum in the scalar type: up to 12 roundings of six speeds. Volume control adds a product of three, prescribed nodes in
     /// enclosed components products with areas in f32, and obstacles a flux in f32.
     fn right_hand_side(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
         let active = self.twin.active.take().expect("active_cells comes before right_hand_side");
         let velocity = &self.before.velocity_next;
-        let (open, source) = (self.open_to_flux(), Some(self.source()));
-        let mut twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
+        let open = self.taps.flux_apertures(&self.cut.open, self.running.running);
+        let source = VolumeSource { rate: self.before.report.volume_rate, open_volumes: &self.open_volumes };
+        let mut twin = reference::right_hand_side(&grid, &open, velocity, &active, Some(source));
         let of_excess = self.add_excess(&active.stencil.active_mask(), &mut twin);
         let area = grid.dx * grid.dx;
         let speed = active_speed(&grid, &active.stencil, velocity);
@@ -567,15 +549,14 @@ impl<'a> LiquidComparison<'a> {
     fn write_back(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
         let active = self.before.active_cells(&grid);
-        let rhs = reference::RightHandSide { values: Vec::new(), scale: 0.0 };
         // In units of dt/(rho dx) the potential is the pressure.
-        let system = PressureSystem { scale: grid.dx * grid.dx, ..PressureSystem::new(active, rhs, 1.0, 1.0) };
+        let system = PressureSystem { scale: grid.dx * grid.dx, ..unit_system(active, Vec::new(), 0.0) };
         let u_star = &self.before.velocity_next;
         let mut twin = u_star.clone();
         let mut valid = reference::write_back(
             &system,
             &self.before.potential,
-            &self.open_to_pressure(),
+            &self.taps.pressure_apertures(&self.cut.open, self.running.running),
             &self.before.liquid_distance,
             self.theta_floor(),
             &mut twin,
@@ -613,9 +594,9 @@ impl<'a> LiquidComparison<'a> {
         });
         reference::extrapolate_one_sided(&grid, &self.cut, (walls, held.as_deref()), valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
-        let blended = if self.cuts() { 64.0 } else { 0.0 };
+        let blended = if Effects::of(self.scene).cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
-        let cut = self.cuts().then_some(&self.cut);
+        let cut = Effects::of(self.scene).cuts().then_some(&self.cut);
         self.table.judge_faces(["u", "m/s"], |axis, face| {
             let a = axis.index();
             // Outside the band the device has no velocities, not even those of bodies.
@@ -656,7 +637,8 @@ impl<'a> LiquidComparison<'a> {
             boundary_flux.get_or_insert_with(|| vec![0.0; grid.n_cells()])[cell] += flux;
             area_error = area_error.max(4.0 * EPS * flux.abs() / grid.cell_volume());
         }
-        let (cut, velocity, open) = (&self.cut, &after.velocity, self.open_to_flux());
+        let (cut, velocity) = (&self.cut, &after.velocity);
+        let open = self.taps.flux_apertures(&cut.open, self.running.running);
         // Separated cells open.
         let masked = after.separated.contains(&true).then(|| stencil.masked(&after.separated));
         let solved = masked.as_ref().unwrap_or(&stencil);
@@ -723,42 +705,36 @@ impl<'a> LiquidComparison<'a> {
             State { active: active.stencil.active_mask(), liquid_distance: phi, ..gpu.clone() }
         };
         let surfaces = [0.0, 1.0, -1.0].map(shifted);
-        let mut pairs = Vec::new();
+        self.table.stage = "probes";
+        let mut column = 0;
         for probe in &self.scene.probes {
             let read = |state: &State| reference::probe(&grid, &self.cut.open, state, &probe.kind);
-            match &probe.kind {
-                ProbeKind::Pressure { .. } => {
-                    let (gpu, twin) = (read(&gpu)[0], read(&twin)[0]);
-                    pairs.push(("pressure", "Pa", gpu, twin, self.twin.pressure_bound + 1e-12 * gpu.abs()));
-                }
-                ProbeKind::Velocity { .. } => {
-                    let both = read(&gpu).into_iter().zip(read(&twin));
-                    pairs.extend(both.map(|(gpu, twin)| ("velocity", "m/s", gpu, twin, self.twin.velocity_bound)));
-                }
+            // `rounding`: relative error of a sum, besides `bound`.
+            let (quantity, twin, bound, rounding) = match &probe.kind {
+                ProbeKind::Pressure { .. } => (["pressure", "Pa"], read(&twin), self.twin.pressure_bound, 1e-12),
+                ProbeKind::Velocity { .. } => (["velocity", "m/s"], read(&twin), self.twin.velocity_bound, 0.0),
                 ProbeKind::Height { .. } | ProbeKind::Front { .. } => {
                     let [twin, low, high] = [0, 1, 2].map(|s| read(&surfaces[s])[0]);
                     let reach = (low - twin).abs().max((high - twin).abs());
-                    let bound = reach + 1e-12 * grid.size().max_element();
-                    pairs.push(("surface", "m", read(&gpu)[0], twin, bound));
+                    (["surface", "m"], vec![twin], reach + 1e-12 * grid.size().max_element(), 0.0)
                 }
                 ProbeKind::Flux { axis, min, max } => {
                     let sides = *max - *min;
                     let area = sides[(axis + 1) % 3] * sides[(axis + 2) % 3];
-                    let (gpu, twin) = (read(&gpu)[0], read(&twin)[0]);
-                    let bound = area * self.twin.velocity_bound + 1e-12 * gpu.abs();
-                    pairs.push(("flux", "m^3/s", gpu, twin, bound));
+                    (["flux", "m^3/s"], read(&twin), area * self.twin.velocity_bound, 1e-12)
                 }
                 // Both paths evaluate them by the same function of the nodes, which have their own rows.
                 ProbeKind::Node { .. }
                 | ProbeKind::Solid { .. }
                 | ProbeKind::SolidVelocity { .. }
                 | ProbeKind::Force { .. }
-                | ProbeKind::Reaction { .. } => {}
+                | ProbeKind::Reaction { .. } => continue,
+            };
+            for (gpu, twin) in read(&gpu).into_iter().zip(twin) {
+                let bound = bound + rounding * gpu.abs();
+                self.table.add(quantity, [(gpu, twin, bound, Place::Column(column))]);
+                column += 1;
             }
-        }
-        self.table.stage = "probes";
-        for (column, (quantity, unit, gpu, twin, bound)) in pairs.into_iter().enumerate() {
-            self.table.add([quantity, unit], [(gpu, twin, bound, Place::Column(column))]);
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::SolidClip;
 use crate::linalg::norm;
-use crate::reference::{ActiveCells, PressureSystem, Stencil, remove_means, solve, solve_iterative};
+use crate::reference::{ActiveCells, PressureSystem, RightHandSide, Stencil, remove_means, solve, solve_iterative};
 use crate::scene::{Precision, Solver};
 use crate::sim::LiquidSnapshot;
 use crate::solver::rounding;
@@ -84,16 +84,11 @@ impl LiquidComparison<'_> {
         let mut rhs = after.rhs.clone();
         remove_means(&active.closed, &mut rhs);
         // The pressure depends on the data continuously, the set of separated cells does not: it is the device's.
-        let masked = |system: PressureSystem| match after.separated.contains(&true) {
-            true => system.masked(&after.separated),
-            false => system,
-        };
-        let stored = masked(unit_system(active, rhs, self.twin.flux));
-        let assembled = unit_system(twin_active, self.twin.rhs.clone(), self.twin.flux);
-        let unmasked = assembled.stencil.dirichlet.clone();
-        let assembled = masked(assembled);
+        let stored = unit_system(active, rhs, self.twin.flux).masked(&after.separated);
+        let unmasked = unit_system(twin_active, self.twin.rhs.clone(), self.twin.flux);
+        let assembled = unmasked.masked(&after.separated);
         // The device sums the free-surface terms beside separated cells again.
-        let terms = assembled.stencil.dirichlet.iter().zip(&unmasked).zip(&after.potential);
+        let terms = assembled.stencil.dirichlet.iter().zip(&unmasked.stencil.dirichlet).zip(&after.potential);
         let summed = terms.filter(|((term, before), _)| term != before);
         let summed = summed.map(|((term, _), phi)| DIRICHLET_ROUNDINGS * EPS * term * phi.abs());
         let start = (start, norm(&summed.collect::<Vec<_>>()));
@@ -215,17 +210,8 @@ impl LiquidComparison<'_> {
 }
 
 /// The system in the units of the device: potential and right-hand side in m/s.
-fn unit_system(active: ActiveCells, rhs: Vec<f64>, rhs_scale: f64) -> PressureSystem {
-    PressureSystem {
-        stencil: active.stencil,
-        scale: 1.0,
-        rhs,
-        rhs_scale,
-        closed: active.closed,
-        sealed: active.sealed,
-        taken: Vec::new(),
-        separated: Vec::new(),
-    }
+pub(super) fn unit_system(active: ActiveCells, values: Vec<f64>, scale: f64) -> PressureSystem {
+    PressureSystem { scale: 1.0, ..PressureSystem::new(active, RightHandSide { values, scale }, 1.0, 1.0) }
 }
 
 /// |B| |x| per cell.
