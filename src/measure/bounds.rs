@@ -122,7 +122,8 @@ impl<'a> MarkerError<'a> {
         let MarkerError { grid, velocity, surface, .. } = self;
         let cells_per_speed = self.dt / grid.dx;
         let layer = reference::Layer::at(grid, surface, x, self.dt);
-        let position = self.position();
+        // As in a trace, half a cell further.
+        let position = position_error(grid, self.speed * self.dt / grid.dx + 0.5);
         let rounded = EPS * (10.0 * self.steep.max(2.0) + 12.0);
         let direction = 2.0 * rounded + 4.0 * self.steep * position;
         let weight = surface.radius / grid.dx * (rounded + 3.0 * self.steep * position);
@@ -136,11 +137,6 @@ impl<'a> MarkerError<'a> {
         let middle = x + 0.5 * self.dt * layer.velocity_at(grid, velocity, x);
         let at_middle = position + 0.5 * cells_per_speed * error_at(x, position);
         grid.dx * (position + cells_per_speed * error_at(middle, at_middle))
-    }
-
-    /// Error of a position, cells: as in a trace, half a cell further.
-    fn position(&self) -> f64 {
-        position_error(&self.grid, self.speed * self.dt / self.grid.dx + 0.5)
     }
 }
 

@@ -101,12 +101,10 @@ impl FromStr for Shard {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Shard, String> {
-        let numbers =
-            |(index, count): (&str, &str)| Some(Shard { index: index.parse().ok()?, count: count.parse().ok()? });
-        text.split_once('/')
-            .and_then(numbers)
-            .filter(|shard| (1..=shard.count).contains(&shard.index))
-            .ok_or_else(|| "write I/N with I from 1 to N, such as 1/4 to 4/4".to_owned())
+        match text.split_once('/').map(|(index, count)| (index.parse(), count.parse())) {
+            Some((Ok(index), Ok(count))) if (1..=count).contains(&index) => Ok(Shard { index, count }),
+            _ => Err("write I/N with I from 1 to N, such as 1/4 to 4/4".to_owned()),
+        }
     }
 }
 
@@ -164,11 +162,6 @@ impl Run {
                 hash: scene.hash,
             }),
         }
-    }
-
-    /// Columns of the probes and their units; none of a refused scene.
-    pub fn probes(&self) -> &[(String, &'static str)] {
-        self.scene.as_ref().map_or(&[], |scene| &scene.probes)
     }
 
     /// Size of a cell, m; `None` of a refused scene.
@@ -450,7 +443,8 @@ impl Sweep {
     /// Columns of the probes of all runs and their units, in the order of the first run with each.
     pub fn probes(&self) -> Vec<(String, &'static str)> {
         let mut probes: Vec<(String, &'static str)> = Vec::new();
-        for (probe, unit) in self.runs.iter().flat_map(Run::probes) {
+        let scenes = self.runs.iter().filter_map(|run| run.scene.as_ref().ok());
+        for (probe, unit) in scenes.flat_map(|scene| &scene.probes) {
             if !probes.iter().any(|(name, _)| name == probe) {
                 probes.push((probe.clone(), *unit));
             }
@@ -493,12 +487,10 @@ fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
         RunStatus::Failed => (Status::Failed, None),
         RunStatus::Running => (Status::BrokenOff, None),
     };
-    let problem = progress.error.as_deref().map(one_line);
-    let (recorded_code, recorded_problem) = record.map_or((None, None), |record| (record.exit_code, record.problem));
     let tally = &progress.tally;
     Row {
         status,
-        exit_code: exit_code.or(recorded_code),
+        exit_code: exit_code.or(record.as_ref().and_then(|record| record.exit_code)),
         frames: progress.frames_written.last().copied(),
         sub_steps: Some(progress.steps),
         seconds: (status != Status::BrokenOff).then_some(progress.seconds),
@@ -506,7 +498,7 @@ fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
         volume: tally.volume_ratio,
         missed: Some(tally.missed),
         squeezed: Some(tally.squeezed),
-        problem: problem.or(recorded_problem),
+        problem: progress.error.as_deref().map(one_line).or(record.and_then(|record| record.problem)),
         probes: Vec::new(),
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::table::{Pair, Place, Table, components, flag, whole};
+use super::table::{Pair, Place, Table, components, flag};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces};
@@ -297,10 +297,7 @@ impl<'a> SolidComparison<'a> {
         let v_star = &self.before.velocity;
         let inertia = |node: usize| self.solids.mass[node] / self.dt * DVec3::from(v_star[node]);
         let eps = unit(after.real);
-        let (corrections, gross) = match both {
-            Some(both) => self.corrections(both),
-            None => (vec![DVec3::ZERO; n], vec![0.0; n]),
-        };
+        let (corrections, gross) = self.corrections(both);
         let (mut twin, mut bounds) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
         for node in 0..n {
             let load = self.solids.load[node];
@@ -317,9 +314,10 @@ impl<'a> SolidComparison<'a> {
     }
 
     /// Forces of the pressure's variation within cells on the nodes, N, and the sums of the magnitudes of their terms.
-    fn corrections(&self, both: &Both) -> (Vec<DVec3>, Vec<f64>) {
+    fn corrections(&self, both: Option<&Both>) -> (Vec<DVec3>, Vec<f64>) {
         let n = self.solids.rest.len();
         let (mut sums, mut gross) = (vec![DVec3::ZERO; n], vec![0.0; n]);
+        let Some(both) = both else { return (sums, gross) };
         // The host computes the integrals, with a dx in f64.
         let (triangles, grid) = (&both.at_rest.triangles, self.scene.grid());
         for patch in both.clip.patches().iter().filter(|patch| both.liquid.active[patch.cell]) {
@@ -439,21 +437,20 @@ impl<'a> SolidComparison<'a> {
         let eps = unit(after.real);
         let rounded =
             64.0 * eps * (size.elastic_energy * twin.elastic_energy).sqrt() + 4096.0 * eps * eps * size.elastic_energy;
-        whole! { self.table;
-            "kinetic energy" "J": gpu.kinetic_energy, twin.kinetic_energy, error * size.kinetic_energy;
-            "potential energy" "J": gpu.potential_energy, twin.potential_energy, error * size.potential_energy;
-            "largest speed" "m/s": gpu.max_speed, twin.max_speed, EPS * twin.max_speed;
-        }
+        self.table.wholes([
+            ("kinetic energy", "J", gpu.kinetic_energy, twin.kinetic_energy, error * size.kinetic_energy),
+            ("potential energy", "J", gpu.potential_energy, twin.potential_energy, error * size.potential_energy),
+            ("largest speed", "m/s", gpu.max_speed, twin.max_speed, EPS * twin.max_speed),
+        ]);
         for a in 0..3 {
-            whole! { self.table;
-                "momentum" "kg m/s": gpu.momentum[a], twin.momentum[a], error * size.momentum[a];
-                "angular momentum" "kg m^2/s": gpu.angular_momentum[a], twin.angular_momentum[a],
-                    4.0 * error * size.angular_momentum[a];
-            }
+            let (momentum, angular) = (error * size.momentum[a], 4.0 * error * size.angular_momentum[a]);
+            self.table.wholes([
+                ("momentum", "kg m/s", gpu.momentum[a], twin.momentum[a], momentum),
+                ("angular momentum", "kg m^2/s", gpu.angular_momentum[a], twin.angular_momentum[a], angular),
+            ]);
         }
-        whole! { self.table;
-            "elastic energy" "J": gpu.elastic_energy, twin.elastic_energy, rounded + error * twin.elastic_energy;
-        }
+        let elastic = rounded + error * twin.elastic_energy;
+        self.table.whole(["elastic energy", "J"], gpu.elastic_energy, twin.elastic_energy, elastic);
     }
 }
 

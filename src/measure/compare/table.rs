@@ -172,14 +172,6 @@ pub(super) fn flag(gpu: bool, twin: bool, place: Place) -> Pair {
     (number(gpu), number(twin), 0.0, place)
 }
 
-/// Adds single numbers to a table: quantity, unit, and GPU, twin and bound.
-macro_rules! whole {
-    ($table:expr; $($quantity:literal $unit:literal: $gpu:expr, $twin:expr, $bound:expr;)*) => { $(
-        $table.whole([$quantity, $unit], $gpu, $twin, $bound);
-    )* };
-}
-pub(super) use whole;
-
 /// Name of a quantity and its unit.
 pub(super) type Quantity = [&'static str; 2];
 
@@ -231,6 +223,13 @@ impl Table {
     /// Adds one number without a place: GPU, twin, bound.
     pub(super) fn whole(&mut self, quantity: Quantity, gpu: f64, twin: f64, bound: f64) {
         self.add(quantity, [(gpu, twin, bound, Place::Whole)]);
+    }
+
+    /// Adds such numbers: quantity, unit, GPU, twin, bound.
+    pub(super) fn wholes<const N: usize>(&mut self, numbers: [(&'static str, &'static str, f64, f64, f64); N]) {
+        for (quantity, unit, gpu, twin, bound) in numbers {
+            self.whole([quantity, unit], gpu, twin, bound);
+        }
     }
 
     /// Adds the numbers of each cell that has them.

@@ -161,7 +161,10 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         let problem = format!("the solve ended with {}: there is no system to write", status.name());
         return Err(Error::Stage { stage: "solve", step: options.step, problem });
     }
-    let (rhs_norm, residual) = (norm(&system.rhs), norm(&residual(&system)));
+    let mut product = vec![0.0; system.rhs.len()];
+    system.matrix.multiply(&system.solution, &mut product);
+    let residual: Vec<f64> = system.rhs.iter().zip(product).map(|(b, product)| b - product).collect();
+    let (rhs_norm, residual) = (norm(&system.rhs), norm(&residual));
     let meta = Meta {
         cutwater: env!("CARGO_PKG_VERSION"),
         scene: scene.name.clone(),
@@ -219,13 +222,6 @@ fn is_meta(path: &Path) -> bool {
     let text = fs::read(path).unwrap_or_default();
     let meta: Value = serde_json::from_slice(&text).unwrap_or_default();
     ["cutwater", "step", "unknowns", "residual"].iter().all(|key| meta.get(key).is_some())
-}
-
-/// b - A x
-fn residual(system: &System) -> Vec<f64> {
-    let mut product = vec![0.0; system.rhs.len()];
-    system.matrix.multiply(&system.solution, &mut product);
-    system.rhs.iter().zip(product).map(|(b, product)| b - product).collect()
 }
 
 /// Runs the GPU path to a sub-step and reads a value back after one of its stages. `read`: called with each finished stage and the length of the

@@ -6,8 +6,7 @@
 
 use glam::DVec3;
 
-use super::{LiquidComparison, Numbers, Pair, Place, across_borders, components, flag, largest, whole};
-use crate::effects::Effects;
+use super::{LiquidComparison, Numbers, Pair, Place, Quantity, across_borders, components, flag, largest};
 use crate::grid::Axis;
 use crate::measure::bounds::{EPS, level_error, maccormack_error, marker_error};
 use crate::reference::{self, LevelCells, Levels, Markers, REACH, UNKNOWN};
@@ -82,14 +81,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Compares the cells of the band. `twins`: from the inputs, and from inputs moved by their rounding.
-    fn band_cells(
-        &mut self,
-        quantity: [&'static str; 2],
-        after: &LiquidSnapshot,
-        gpu: &[f64],
-        twins: &[Vec<f64>],
-        bound: f64,
-    ) {
+    fn band_cells(&mut self, quantity: Quantity, after: &LiquidSnapshot, gpu: &[f64], twins: &[Vec<f64>], bound: f64) {
         let [twin, others @ ..] = twins else { return };
         self.table.judge_cells(quantity, |cell| {
             after.band[cell].then(|| judged(gpu[cell], twin[cell], bound, others.iter().map(|other| other[cell])))
@@ -169,20 +161,15 @@ impl LiquidComparison<'_> {
         let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
         let one = grid.cell_volume();
         let most = if self.running.step == 0 { 0.0 } else { reference::largest_shift(self.courant) };
-        let sums: Vec<[f64; 2]> = twins
-            .iter_mut()
-            .map(|twin| {
-                // Outside the band there is air on the device.
-                for cell in (0..twin.len()).filter(|&cell| !after.band[cell]) {
-                    twin[cell] = REACH;
-                }
-                let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
-                let sunk = reference::sunk_volumes(taps, &self.open_volumes, [level, twin], most);
-                reference::empty_level_sinks(taps, twin);
-                let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
-                [sunk / one, filled.iter().sum::<f64>() / one]
-            })
-            .collect();
+        let sums = twins.iter_mut().map(|twin| {
+            *twin = self.with_air(after, twin);
+            let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
+            let sunk = reference::sunk_volumes(taps, &self.open_volumes, [level, twin], most);
+            reference::empty_level_sinks(taps, twin);
+            let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
+            [sunk / one, filled.iter().sum::<f64>() / one]
+        });
+        let sums: Vec<[f64; 2]> = sums.collect();
         let unit = (-24.0_f64).exp2();
         let with_bound = |which: usize, cells: usize| {
             let others = sums.iter().map(|sum| (sum[which] - sums[0][which]).abs());
@@ -230,7 +217,7 @@ impl LiquidComparison<'_> {
         let Some(level) = self.before.level.clone() else { return };
         let (grid, dt, gravity) = (self.grid, self.dt(), self.gravity());
         let (velocity, ballistic) = (&self.before.velocity, self.ballistic());
-        let pushed = if Effects::of(self.scene).cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
+        let pushed = if self.effects.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let advect = |slot: usize, start: [f64; 3]| {
             let mut one = Markers {
                 position: vec![start],
@@ -349,7 +336,7 @@ impl LiquidComparison<'_> {
         let flying = slots.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
         let one = grid.cell_volume();
         let mut total = f64::from(self.step.volume_0) - flying as f64 * one / 8.0;
-        if Effects::of(self.scene).exchange() {
+        if self.effects.exchange() {
             let of_step = after.report.exchanged;
             let volumes =
                 [("volume left", of_step.left), ("volume sunk", of_step.sunk), ("volume filled", of_step.filled)];
@@ -361,7 +348,7 @@ impl LiquidComparison<'_> {
         let bound = 1e-5 * total.abs();
         // Where a target is capped at a multiple of its volume, less than the total is distributed.
         let mut targets = now.component_volume.iter().zip(&twin.volume);
-        let capped = !Effects::of(self.scene).open_sides
+        let capped = !self.effects.open_sides
             && targets.any(|(target, volume)| *target >= 0.999 * reference::LARGEST_TARGET * volume);
         let twin_whole = match (twin.volume.is_empty(), capped) {
             (true, _) => 0.0,
@@ -432,10 +419,10 @@ impl LiquidComparison<'_> {
         let new = (after.markers.iter().flatten().count() + gone).saturating_sub(n_before);
         // As many markers as lie within a rounding of the depth may differ: of some thousand, one.
         let near = |n: usize| 1.0 + 1e-3 * n as f64;
-        whole! { self.table;
-            "markers deleted" "": gone as f64, deleted as f64, near(deleted);
-            "markers seeded" "": new as f64, seeded as f64, near(seeded);
-        }
+        self.table.wholes([
+            ("markers deleted", "", gone as f64, deleted as f64, near(deleted)),
+            ("markers seeded", "", new as f64, seeded as f64, near(seeded)),
+        ]);
         let first = self.used_slots();
         let fresh: Vec<[f64; 3]> = after.markers.iter().skip(first).copied().flatten().collect();
         if fresh.len() == seeded {
@@ -464,10 +451,8 @@ impl LiquidComparison<'_> {
         let weight = EPS * 24.0 * self.extent() * 256.0 + 2.0 * (-16.0_f64).exp2();
         let near = Axis::ALL.map(|axis| {
             let mut near = vec![0.0; grid.n_faces(axis)];
-            for &marker in &landed {
-                let around = grid.faces_around(axis, markers.position[marker].into());
-                around.weights().into_iter().for_each(|(face, _)| near[face] += 1.0);
-            }
+            let around = landed.iter().map(|&marker| grid.faces_around(axis, markers.position[marker].into()));
+            around.flat_map(|around| around.weights()).for_each(|(face, _)| near[face] += 1.0);
             near
         });
         self.table.judge_faces(["u*", "m/s"], |axis, face| {
@@ -511,7 +496,7 @@ impl LiquidComparison<'_> {
 
     /// Adds the source of crowded markers to E u* (m^3/s).
     pub(super) fn add_excess(&self, active: &[bool], rhs: &mut reference::RightHandSide) -> f64 {
-        let level = self.before.level.as_ref().filter(|_| Effects::of(self.scene).volume_shift);
+        let level = self.before.level.as_ref().filter(|_| self.effects.volume_shift);
         let Some(level) = level else { return 0.0 };
         let times = [f64::from(self.step.control_time), self.dt()];
         let cells = (0..active.len()).filter(|&cell| active[cell]);

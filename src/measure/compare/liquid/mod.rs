@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use pressure::unit_system;
 
-use super::table::{Numbers, Pair, Place, Table, components, flag, number, whole};
+use super::table::{Numbers, Pair, Place, Quantity, Table, components, flag, number};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::effects::Effects;
@@ -35,6 +35,7 @@ type Marker = Option<[f64; 3]>;
 /// The twins of the liquid, with the inputs of the device.
 pub(super) struct LiquidComparison<'a> {
     scene: &'a Scene,
+    effects: Effects,
     /// With the dx of the device.
     grid: Grid,
     /// As stored on the device.
@@ -99,6 +100,7 @@ impl<'a> LiquidComparison<'a> {
         let taps = path.taps().map(|(taps, _)| taps.clone());
         Ok(Some(LiquidComparison {
             scene,
+            effects: Effects::of(scene),
             grid,
             open_volumes: reference::open_volumes(&grid, &cut.solid_distance),
             cut,
@@ -146,7 +148,7 @@ impl<'a> LiquidComparison<'a> {
             self.taps.set_velocities(path.clock().time, [path.last_step(), dt]);
             self.lattices = self.taps.lattices(&grid, path.clock().time, dt);
             let inflow: f64 = self.taps.inflows(running, dt).sum();
-            if Effects::of(self.scene).open_sides {
+            if self.effects.open_sides {
                 self.renewed = reference::renewed_volume(inflow / dt, time_step.control_time);
             }
         }
@@ -162,7 +164,6 @@ impl<'a> LiquidComparison<'a> {
         clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
-        let effects = Effects::of(self.scene);
         self.table.stage = stage.name();
         match stage {
             Stage::Clip => {
@@ -170,13 +171,13 @@ impl<'a> LiquidComparison<'a> {
                     self.clip(after, clip);
                 }
             }
-            _ if effects.level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
+            _ if self.effects.level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
             Stage::AdvectMarkers => self.advect_markers(after),
             Stage::Exchange => self.exchange(after),
             Stage::AdvectVelocity => self.advect_velocity(after),
             Stage::Forces => self.forces(after),
             // A fixed surface stays.
-            Stage::LiquidDistance if effects.markers && !effects.level => self.liquid_distance(after),
+            Stage::LiquidDistance if self.effects.markers && !self.effects.level => self.liquid_distance(after),
             Stage::ActiveCells => self.active_cells(after, both),
             Stage::RightHandSide => self.right_hand_side(after, clip, both),
             Stage::Solve => self.solve(after, both)?,
@@ -238,7 +239,7 @@ impl<'a> LiquidComparison<'a> {
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = if Effects::of(self.scene).cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
+        let pushed = if self.effects.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let distance = reference::surface_distance(&grid, solid_distance, &self.before.liquid_distance);
         let surface = reference::Surface { distance: &distance, radius: f64::from(self.step.marker_radius) * grid.dx };
         let error = MarkerError::new(&grid, velocity, surface, dt);
@@ -302,14 +303,13 @@ impl<'a> LiquidComparison<'a> {
     /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders.
     fn emission(&mut self, after: &LiquidSnapshot, mut kept: Vec<[f64; 3]>, n_before: usize, borders: usize) {
         let (grid, n_kept) = (self.grid, kept.len());
-        let level = Effects::of(self.scene).level;
         let mut walls = self.cut.solid_distance.clone();
-        if level {
+        if self.effects.level {
             walls = reference::closed_to_markers(&walls, &after.liquid_distance, grid.dx);
         }
         let (taps, running) = (&self.taps, self.running);
         // A level fills its sources by volume.
-        let filled = match level {
+        let filled = match self.effects.level {
             true => {
                 reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
                 None
@@ -334,10 +334,9 @@ impl<'a> LiquidComparison<'a> {
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
         let dt = self.dt();
         let mut velocity = self.before.velocity.clone();
-        let maccormack = Effects::of(self.scene).maccormack;
         // A velocity of a source is rounded, and so are product and difference.
         let mut given = 0.0;
-        if maccormack && !self.taps.faces.is_empty() {
+        if self.effects.maccormack && !self.taps.faces.is_empty() {
             let fall = 0.5 * dt * self.gravity();
             given = 3.0 * EPS * (reference::max_speed(&velocity) + fall.abs().max_element());
             reference::rewind_sources(&self.taps, &self.cut.open, self.running.running, fall, &mut velocity);
@@ -347,14 +346,14 @@ impl<'a> LiquidComparison<'a> {
         let bound = advection_error(&self.grid, open, (velocity, given), dt);
         let ballistic = self.ballistic();
         let advected = |of: &Ballistic| {
-            if maccormack {
+            if self.effects.maccormack {
                 reference::advect_velocity_maccormack(&self.grid, open, velocity, of, [dt, self.courant])
             } else {
                 reference::advect_velocity(&self.grid, open, velocity, of, dt)
             }
         };
         let twin = advected(&ballistic);
-        if maccormack {
+        if self.effects.maccormack {
             self.maccormack(after, (&twin, open), (velocity, given));
             return;
         }
@@ -447,11 +446,10 @@ impl<'a> LiquidComparison<'a> {
         let (mut twin, mut bound) = (0.0, 0.0);
         if volume_0 > 0.0 && volume > 0.0 {
             twin = reference::volume_rate(volume_0, volume, control_time, dt);
-            // The slope of the rate, without its limits.
-            let per_ratio = 2.0 / control_time;
             let quotient = if after.real == Real::F32 { 6.0 * EPS } else { 0.0 };
             let relative = quotient + volume_bound / volume;
-            bound = per_ratio * (volume_0 / volume) * relative + 8.0 * EPS * twin.abs();
+            // The slope of the rate, without its limits.
+            bound = 2.0 / control_time * (volume_0 / volume) * relative + 8.0 * EPS * twin.abs();
         }
         self.table.whole(["volume rate", "1/s"], after.report.volume_rate, twin, bound);
     }
@@ -503,9 +501,7 @@ impl<'a> LiquidComparison<'a> {
         let mut gpu = after.rhs.clone();
         reference::remove_means(&active.closed, &mut gpu);
         let mut closed = vec![false; grid.n_cells()];
-        for &cell in active.closed.iter().flatten() {
-            closed[cell] = true;
-        }
+        active.closed.iter().flatten().for_each(|&cell| closed[cell] = true);
         self.table.cell_flags("closed components", &after.closed, &closed);
         let mut rhs: Vec<f64> = twin.values.iter().map(|b| b / area).collect();
         if let Some(clip) = clip {
@@ -586,17 +582,17 @@ impl<'a> LiquidComparison<'a> {
         let speed = 3.0 * wall_speed + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        let largest = if Effects::of(self.scene).maccormack { self.step.largest_slope.into() } else { 0.0 };
+        let largest = if self.effects.maccormack { self.step.largest_slope.into() } else { 0.0 };
         let extent = (layers, largest);
-        let held = Effects::of(self.scene).separation.then(|| {
+        let held = self.effects.separation.then(|| {
             let pairs = self.before.active.iter().zip(&self.before.separated);
             pairs.map(|(active, separated)| *active && !*separated).collect::<Vec<_>>()
         });
         reference::extrapolate_one_sided(&grid, &self.cut, (walls, held.as_deref()), valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
-        let blended = if Effects::of(self.scene).cuts() { 64.0 } else { 0.0 };
+        let blended = if self.effects.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
-        let cut = Effects::of(self.scene).cuts().then_some(&self.cut);
+        let cut = self.effects.cuts().then_some(&self.cut);
         self.table.judge_faces(["u", "m/s"], |axis, face| {
             let a = axis.index();
             // Outside the band the device has no velocities, not even those of bodies.
@@ -620,8 +616,7 @@ impl<'a> LiquidComparison<'a> {
     /// 1/dx; the flux of solids is a sum of products with areas in f32.
     fn diagnose(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
-        let level = Effects::of(self.scene).level;
-        let filled = level.then(|| reference::filled_distance(&grid, &after.liquid_distance));
+        let filled = self.effects.level.then(|| reference::filled_distance(&grid, &after.liquid_distance));
         let phi = filled.as_ref().unwrap_or(&after.liquid_distance);
         let (density, gravity) = (f64::from(self.step.density), self.gravity());
         let stencil = after.active_cells(&grid).stencil;
@@ -649,7 +644,7 @@ impl<'a> LiquidComparison<'a> {
         let gpu = after.report.diagnosis;
         let spray_volume = spray.len() as f64 * grid.cell_volume() / 8.0;
         // A filled part is a mean of eight samples of up to five cells, each of 27 values, doubled.
-        let parts = if level { 160.0 * EPS } else { 0.0 };
+        let parts = if self.effects.level { 160.0 * EPS } else { 0.0 };
         let off = self.sum_error(after.real, phi) + parts;
         let volume = off * (self.wet_volume(phi) + spray_volume);
         let spray_speed = largest(spray.iter().flat_map(|(_, v)| v.map(f64::abs)));
@@ -664,16 +659,16 @@ impl<'a> LiquidComparison<'a> {
         let energy = 1.5 * mass * speed * speed + 0.5 * way * (grid.dx / self.dt());
         let ([px, py, pz], [qx, qy, qz], momentum) = (gpu.momentum, twin.momentum, mass * speed + way);
         // The largest speed is that of the faces, without spray.
-        whole! { self.table;
-            "volume" "m^3": gpu.volume, twin.volume, volume;
-            "momentum x" "kg m/s": px, qx, momentum;
-            "momentum y" "kg m/s": py, qy, momentum;
-            "momentum z" "kg m/s": pz, qz, momentum;
-            "kinetic energy" "J": gpu.kinetic_energy, twin.kinetic_energy, energy;
-            "potential energy" "J": gpu.potential_energy, twin.potential_energy, mass * height + height_quantum;
-            "largest speed" "m/s": gpu.max_speed, twin.max_speed, 0.0;
-            "divergence" "1/s": gpu.divergence, twin.divergence, divergence;
-        }
+        self.table.wholes([
+            ("volume", "m^3", gpu.volume, twin.volume, volume),
+            ("momentum x", "kg m/s", px, qx, momentum),
+            ("momentum y", "kg m/s", py, qy, momentum),
+            ("momentum z", "kg m/s", pz, qz, momentum),
+            ("kinetic energy", "J", gpu.kinetic_energy, twin.kinetic_energy, energy),
+            ("potential energy", "J", gpu.potential_energy, twin.potential_energy, mass * height + height_quantum),
+            ("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0),
+            ("divergence", "1/s", gpu.divergence, twin.divergence, divergence),
+        ]);
     }
 
     /// Whether liquid and solids touch, and the sum of J^T p with areas in f32: a rounding per node of a sum and level of the tree in f32.
@@ -692,7 +687,7 @@ impl<'a> LiquidComparison<'a> {
         let grid = self.grid;
         let gpu = State {
             velocity: after.velocity.clone(),
-            pressure: self.in_pascal(&after.potential),
+            pressure: after.potential.iter().map(|phi| self.pascal() * phi).collect(),
             liquid_distance: after.liquid_distance.clone(),
             active: after.active.clone(),
             ..State::at_rest(&grid)

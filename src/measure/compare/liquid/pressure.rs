@@ -8,7 +8,6 @@
 use super::super::table::number;
 use super::{Both, DIRICHLET_ROUNDINGS, EPS, LiquidComparison, largest, unit};
 use crate::Error;
-use crate::effects::Effects;
 use crate::geometry::SolidClip;
 use crate::linalg::norm;
 use crate::reference::{ActiveCells, PressureSystem, RightHandSide, Stencil, remove_means, solve, solve_iterative};
@@ -23,11 +22,6 @@ const ROUGH: f64 = 1e-6;
 const ROUGH_MARGIN: f64 = 1.01;
 
 impl LiquidComparison<'_> {
-    /// m/s of potential as pressure, Pa.
-    pub(super) fn in_pascal(&self, potential: &[f64]) -> Vec<f64> {
-        potential.iter().map(|phi| self.pascal() * phi).collect()
-    }
-
     /// Pressure of a potential of 1 m/s, Pa.
     pub(super) fn pascal(&self) -> f64 {
         f64::from(self.step.density) * self.grid.dx / self.dt()
@@ -94,27 +88,23 @@ impl LiquidComparison<'_> {
         let start = (start, norm(&summed.collect::<Vec<_>>()));
         let (mut solution, _) = solve(&stored, &settings)?;
         let (mut twin, _) = solve(&assembled, &settings)?;
-        let of = |component: &[usize]| component.iter().map(|&cell| after.potential[cell]).collect::<Vec<_>>();
-        let mean = |component: &[usize]| of(component).iter().sum::<f64>() / component.len() as f64;
-        let lifts = Effects::of(self.scene).separation;
-        for component in stored.closed.iter().filter(|component| after.closed[component[0]]) {
-            let level = match lifts {
-                true => of(component).into_iter().fold(f64::INFINITY, f64::min),
-                false => mean(component),
-            };
-            let bound = 4.0 * EPS * largest(of(component).into_iter().map(f64::abs));
-            self.table.whole(["level of enclosed liquid", "m/s"], level, 0.0, bound);
-        }
         for component in &stored.closed {
-            let level = mean(component);
+            let potential = component.iter().map(|&cell| after.potential[cell]);
+            let mean = potential.clone().sum::<f64>() / component.len() as f64;
+            if after.closed[component[0]] {
+                let level =
+                    if self.effects.separation { potential.clone().fold(f64::INFINITY, f64::min) } else { mean };
+                let bound = 4.0 * EPS * largest(potential.map(f64::abs));
+                self.table.whole(["level of enclosed liquid", "m/s"], level, 0.0, bound);
+            }
             for &cell in component {
-                solution[cell] += level;
-                twin[cell] += level;
+                solution[cell] += mean;
+                twin[cell] += mean;
             }
         }
         let solve_bounds = self.compare_stored(after, &stored, &solution, start);
         self.compare_assembled(&stored, &solution, &assembled, &twin, solve_bounds);
-        self.twin.pressure = self.in_pascal(&twin);
+        self.twin.pressure = twin.iter().map(|phi| self.pascal() * phi).collect();
         self.twin.active =
             Some(ActiveCells { stencil: assembled.stencil, closed: assembled.closed, sealed: Vec::new() });
         Ok(())
