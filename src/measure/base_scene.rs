@@ -150,14 +150,8 @@ impl<'a> DeviceScene<'a> {
 
     /// Arrays of the solver.
     pub fn fields(&self) -> CoupledFields<'_> {
-        CoupledFields {
-            liquid: &self.liquid,
-            solids: &self.solids,
-            fields: &self.fields,
-            coupling: &self.coupling,
-            velocity: &self.velocity,
-            open: &self.open,
-        }
+        let DeviceScene { liquid, solids, fields, coupling, velocity, open, .. } = self;
+        CoupledFields { liquid, solids, fields, coupling, velocity, open }
     }
 
     /// Writes u* and v*, which a solve replaces.

@@ -226,9 +226,8 @@ pub struct Refined {
 pub fn refined(
     scene: &Scene,
     settings: &[String],
-    refined: Refined,
+    Refined { steps, elements }: Refined,
 ) -> Result<impl Fn(f64) -> Vec<String> + use<>, Error> {
-    let Refined { steps, elements } = refined;
     let (time, slab) = (scene.time.clone(), scene.domain.slab);
     if steps && time.fixed_step.is_none() && time.max_step.is_none() {
         return Err(Error::input(

@@ -53,34 +53,22 @@ impl Comparison {
     pub fn verdict(&self) -> Result<(), Error> {
         let n = self.rows.len();
         let mut problems = Vec::new();
-        if let Some(row) = self.worst().filter(|row| row.ratio() > 1.0)
-            && let Some(worst) = row.worst
+        if let Some(&Row { stage, quantity, unit, worst: Some(worst), .. }) =
+            self.worst().filter(|row| row.ratio() > 1.0)
         {
+            let Worst { gpu, twin, bound, place, step } = worst;
             let differ = self.rows.iter().filter(|row| row.ratio() > 1.0).count();
             problems.push(format!(
-                "{differ} of {n} quantities differ by more than rounding explains; the worst is {} of {}: {:e} {unit} on the GPU, \
-                 {:e} {unit} in the twin, bound {:e} {unit}, sub-step {}, {}",
-                row.quantity,
-                row.stage,
-                worst.gpu,
-                worst.twin,
-                worst.bound,
-                worst.step,
-                worst.place,
-                unit = row.unit,
+                "{differ} of {n} quantities differ by more than rounding explains; the worst is {quantity} of {stage}: \
+                 {gpu:e} {unit} on the GPU, {twin:e} {unit} in the twin, bound {bound:e} {unit}, sub-step {step}, {place}"
             ));
         }
         let excusing = || self.rows.iter().filter(|row| row.excuses_too_much());
-        if let Some(row) = excusing().max_by_key(|row| row.excused) {
+        if let Some(row @ Row { stage, quantity, excused, count, .. }) = excusing().max_by_key(|row| row.excused) {
+            let (rows, most) = (excusing().count(), row.most_excused());
             problems.push(format!(
-                "{} of {n} quantities leave out more numbers than can hang on a rounding; the worst is {} of {}: {} excused and {} compared, \
-                 {} may be",
-                excusing().count(),
-                row.quantity,
-                row.stage,
-                row.excused,
-                row.count,
-                row.most_excused(),
+                "{rows} of {n} quantities leave out more numbers than can hang on a rounding; the worst is {quantity} of {stage}: \
+                 {excused} excused and {count} compared, {most} may be"
             ));
         }
         if problems.is_empty() { Ok(()) } else { Err(Error::Check(problems.join("; "))) }

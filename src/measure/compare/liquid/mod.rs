@@ -166,11 +166,7 @@ impl<'a> LiquidComparison<'a> {
     ) -> Result<(), Error> {
         self.table.stage = stage.name();
         match stage {
-            Stage::Clip => {
-                if let Some(clip) = clip {
-                    self.clip(after, clip);
-                }
-            }
+            Stage::Clip => self.clip(after, clip),
             _ if self.effects.level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
             Stage::AdvectMarkers => self.advect_markers(after),
             Stage::Exchange => self.exchange(after),
@@ -214,9 +210,9 @@ impl<'a> LiquidComparison<'a> {
     }
 
     /// Clipping runs on the host, so the device stores its results in f32.
-    fn clip(&mut self, after: &LiquidSnapshot, clip: &SolidClip) {
-        let (grid, cut) = (self.grid, clip.cut_cells());
-        let Some(device) = &after.cut else { return };
+    fn clip(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>) {
+        let Some((device, clip)) = after.cut.as_ref().zip(clip) else { return };
+        let cut = clip.cut_cells();
         let rounded = |gpu: &[f64], twin: &[f64], index: usize| {
             let (&gpu, &twin) = (gpu.get(index)?, twin.get(index)?);
             Some((gpu, twin, EPS * twin.abs()))
@@ -224,7 +220,7 @@ impl<'a> LiquidComparison<'a> {
         self.table.faces(["open fractions", ""], |a, face| rounded(&device.open[a], &cut.open[a], face));
         self.table.cells(["distance", "m"], |cell| rounded(&device.solid_distance, &cut.solid_distance, cell));
         self.cut = device.clone();
-        self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
+        self.open_volumes = reference::open_volumes(&self.grid, &self.cut.solid_distance);
     }
 
     /// Relative error of a sum over the cells with liquid. The twin adds in sequence in f64; the report has two f32. Sums in f32 have five
@@ -303,18 +299,14 @@ impl<'a> LiquidComparison<'a> {
     /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders.
     fn emission(&mut self, after: &LiquidSnapshot, mut kept: Vec<[f64; 3]>, n_before: usize, borders: usize) {
         let (grid, n_kept) = (self.grid, kept.len());
-        let mut walls = self.cut.solid_distance.clone();
-        if self.effects.level {
-            walls = reference::closed_to_markers(&walls, &after.liquid_distance, grid.dx);
-        }
-        let (taps, running) = (&self.taps, self.running);
+        let (taps, running, walls) = (&self.taps, self.running, &self.cut.solid_distance);
         // A level fills its sources by volume.
-        let filled = match self.effects.level {
-            true => {
-                reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
-                None
-            }
-            false => Some(reference::seed_markers(&grid, taps, running, &walls, &mut kept).filled),
+        let filled = if self.effects.level {
+            let walls = reference::closed_to_markers(walls, &after.liquid_distance, grid.dx);
+            reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
+            None
+        } else {
+            Some(reference::seed_markers(&grid, taps, running, walls, &mut kept).filled)
         };
         let twin = &kept[n_kept..];
         let gpu: Vec<[f64; 3]> = after.markers.iter().skip(n_before).copied().flatten().collect();
@@ -547,16 +539,11 @@ impl<'a> LiquidComparison<'a> {
         let active = self.before.active_cells(&grid);
         // In units of dt/(rho dx) the potential is the pressure.
         let system = PressureSystem { scale: grid.dx * grid.dx, ..unit_system(active, Vec::new(), 0.0) };
-        let u_star = &self.before.velocity_next;
+        let open = self.taps.pressure_apertures(&self.cut.open, self.running.running);
+        let (u_star, potential, phi) =
+            (&self.before.velocity_next, &self.before.potential, &self.before.liquid_distance);
         let mut twin = u_star.clone();
-        let mut valid = reference::write_back(
-            &system,
-            &self.before.potential,
-            &self.taps.pressure_apertures(&self.cut.open, self.running.running),
-            &self.before.liquid_distance,
-            self.theta_floor(),
-            &mut twin,
-        );
+        let mut valid = reference::write_back(&system, potential, &open, phi, self.theta_floor(), &mut twin);
         reference::carry_faces(&self.taps, &self.cut.open, self.running.running, &mut twin, &mut valid);
         let flags = |a: usize, face: usize| Some((number(after.valid[a][face]), number(valid[a][face]), 0.0));
         self.table.faces(["valid faces", "flag"], flags);
@@ -801,15 +788,10 @@ const DIRICHLET_ROUNDINGS: f64 = 17.0;
 
 /// Largest speed of a face of an active cell, m/s.
 fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64 {
-    largest(stencil.active_cells().into_iter().flat_map(|cell| {
-        Axis::ALL.into_iter().flat_map(move |axis| {
-            let a = axis.index();
-            [0, 1].map(|side| {
-                let mut face = grid.cell_at(cell);
-                face[a] += side;
-                velocity[a][grid.face(axis, face)].abs()
-            })
-        })
+    largest(Axis::ALL.into_iter().flat_map(|axis| {
+        let sides = move |face| grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
+        let faces = velocity[axis.index()].iter().enumerate();
+        faces.filter(move |(face, _)| sides(*face).any(|cell| stencil.active(cell))).map(|(_, v)| v.abs())
     }))
 }
 

@@ -219,11 +219,8 @@ fn majorant(stencil: &Stencil, closed: &[Vec<usize>], r: Vec<f64>) -> Vec<f64> {
     for component in closed {
         dirichlet[component[0]] += 1.0;
     }
-    let active = ActiveCells {
-        stencil: Stencil::new(stencil.grid, stencil.weight.clone(), dirichlet),
-        closed: Vec::new(),
-        sealed: Vec::new(),
-    };
+    let stencil = Stencil::new(stencil.grid, stencil.weight.clone(), dirichlet);
+    let active = ActiveCells { stencil, closed: Vec::new(), sealed: Vec::new() };
     let settings = Solver { tolerance: ROUGH, max_iterations: 10_000, ..Solver::default() };
     let (mut bound, _) = solve_iterative(&unit_system(active, r, 0.0), &settings);
     for component in closed {
