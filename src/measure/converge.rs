@@ -136,7 +136,7 @@ impl Study {
         let rows: Vec<_> = (0..sweep.runs.len()).map(|number| sweep.row(number)).collect();
         debug_assert!(rows.iter().all(|row| row.status == Status::Finished));
         let runs = sweep.runs.iter();
-        let cell_sizes: Vec<f64> = runs.clone().filter_map(|run| run.cell_size()).collect();
+        let cell_sizes: Vec<f64> = runs.clone().filter_map(|run| Some(run.scene.as_ref().ok()?.cell_size)).collect();
         let mut quantities = Vec::new();
         for (probe, unit) in sweep.probes() {
             let of_run = |row: &Row| row.statistics(&probe);

@@ -122,21 +122,21 @@ pub struct Run {
     /// `--scale`
     pub scale: f64,
     /// Properties of the scene with these overrides, or its error.
-    scene: Result<Checked, Error>,
+    pub(super) scene: Result<Checked, Error>,
     /// Row of a finished run, which does not change.
     finished: OnceLock<Row>,
 }
 
 /// Properties of a scene that was read.
 #[derive(Clone, Debug)]
-struct Checked {
+pub(super) struct Checked {
     /// SHA-256.
     hash: String,
     frames: u64,
     /// Columns of its probes and their units.
     probes: Vec<(String, &'static str)>,
     /// Size of a cell, m.
-    cell_size: f64,
+    pub(super) cell_size: f64,
 }
 
 impl Run {
@@ -162,11 +162,6 @@ impl Run {
                 hash: scene.hash,
             }),
         }
-    }
-
-    /// Size of a cell, m; `None` of a refused scene.
-    pub fn cell_size(&self) -> Option<f64> {
-        self.scene.as_ref().ok().map(|scene| scene.cell_size)
     }
 }
 

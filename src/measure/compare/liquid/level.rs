@@ -125,14 +125,12 @@ impl LiquidComparison<'_> {
         let carried = reference::carry_level(&grid, sides, velocity, &ballistic, &level, dt);
         let [_, bound] = level_error(&grid, velocity, &level, &carried, dt);
         let advected =
-            |of: &reference::Ballistic, level: &[f64]| reference::advect_level(&grid, sides, velocity, of, level, dt);
-        let mut twins = self.twins(&level, bound, |level| advected(&ballistic, level));
-        twins.extend(self.near_ballistic().map(|other| advected(&other, &level)));
+            |velocity: &_, of: &_, level: &[f64]| reference::advect_level(&grid, sides, velocity, of, level, dt);
+        let mut twins = self.twins(&level, bound, |level| advected(velocity, &ballistic, level));
+        twins.extend(self.near_ballistic().map(|other| advected(velocity, &other, &level)));
         // A departure point on a plane of cell centres may have the taps of either side.
         let by = 16.0 * EPS * reference::max_speed(velocity);
-        twins.extend((0..PATTERNS).map(|pattern| {
-            reference::advect_level(&grid, sides, &moved_faces(velocity, by, pattern), &ballistic, &level, dt)
-        }));
+        twins.extend((0..PATTERNS).map(|pattern| advected(&moved_faces(velocity, by, pattern), &ballistic, &level)));
         self.exchange_level(after, &level, (&mut twins, bound));
         let band = self.settled(after);
         let settled = LiquidSnapshot { band, ..after.clone() };
