@@ -15,6 +15,7 @@
 use glam::DVec3;
 
 use super::advect_markers::volume_without;
+use super::marker_band::cell_of;
 use crate::geometry::{Lattice, MARKERS_PER_CELL, OCTANT_UNITS, Running, SourcesAndSinks};
 use crate::grid::Grid;
 use crate::state::Exchange;
@@ -150,10 +151,6 @@ fn scatter(x: u32) -> u32 {
     let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
     let x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
     x ^ (x >> 16)
-}
-
-fn cell_of(grid: &Grid, x: [f64; 3]) -> usize {
-    grid.cell(std::array::from_fn(|a| ((x[a] / grid.dx) as usize).min(grid.cells[a] - 1)))
 }
 
 /// The eighth of its cell that contains a point.

@@ -144,6 +144,7 @@ fn site(grid: &Grid, [seed, step]: [u32; 2], cell: usize, number: usize) -> DVec
 }
 
 /// The cell of a point (m).
-pub(super) fn cell_of(grid: &Grid, x: DVec3) -> usize {
+pub fn cell_of(grid: &Grid, x: impl Into<DVec3>) -> usize {
+    let x = x.into();
     grid.cell(std::array::from_fn(|a| ((x[a] / grid.dx) as usize).min(grid.cells[a] - 1)))
 }

@@ -93,7 +93,7 @@ pub use liquid_components::{
     shared_volumes,
 };
 pub use liquid_distance::{extend_level, liquid_distance};
-pub use marker_band::{Levels, Markers, first_markers, marker_band};
+pub use marker_band::{Levels, Markers, cell_of, first_markers, marker_band};
 pub use move_solid::move_solid;
 pub use multigrid::Multigrid;
 pub use node_forces::node_forces;

@@ -1,7 +1,5 @@
 //! The stages of a level set.
 
-use glam::DVec3;
-
 use super::SubStep;
 use crate::geometry::MARKERS_PER_CELL;
 use crate::reference::level_cells::in_cells;
@@ -108,10 +106,7 @@ impl SubStep<'_> {
         let (model, sources) = (self.model, self.sources);
         let (grid, taps) = (&model.grid, &model.taps);
         let mut markers = self.after.take_markers();
-        let in_sink = |x: &[f64; 3]| {
-            let cell = cell_of(grid, DVec3::from(*x));
-            taps.sink_cells.binary_search(&cell).is_ok()
-        };
+        let in_sink = |x: &[f64; 3]| taps.sink_cells.binary_search(&cell_of(grid, *x)).is_ok();
         let keep: Vec<bool> = markers.position.iter().map(|x| !in_sink(x)).collect();
         let pairs = keep.iter().zip(&markers.spray);
         let sunk_spray = pairs.filter(|(keep, spray)| !**keep && **spray).count();

@@ -250,9 +250,7 @@ impl LiquidComparison<'_> {
     fn most_markers(&self, markers: &Markers) -> f64 {
         let mut counts = vec![0.0; self.grid.n_cells()];
         for x in &markers.position {
-            let cell = (DVec3::from(*x) / self.grid.dx).floor();
-            let ijk = [0, 1, 2].map(|a| cell[a].clamp(0.0, (self.grid.cells[a] - 1) as f64) as usize);
-            counts[self.grid.cell(ijk)] += 1.0;
+            counts[reference::cell_of(&self.grid, *x)] += 1.0;
         }
         27.0 * largest(counts) / 8.0 / 0.2
     }
