@@ -33,8 +33,7 @@ fn end_error(grid: &Grid, velocity: &[Vec<f64>; 3], given: f64, dt: f64) -> f64 
 pub fn advection_error(grid: &Grid, open: &[Vec<f64>; 3], (velocity, given): (&[Vec<f64>; 3], f64), dt: f64) -> f64 {
     let rounding = EPS * reference::max_speed(velocity);
     let plain = trace_error(grid, velocity, given, dt);
-    let mut apertures = open.iter().flatten();
-    if !apertures.any(|&open| reference::is_sliver(open)) {
+    if !open.iter().flatten().any(|&open| reference::is_sliver(open)) {
         return plain;
     }
     let blended = reference::shown_to_whole(grid, open, velocity);
@@ -54,8 +53,7 @@ pub fn maccormack_error(
 ) -> f64 {
     let first = advection_error(grid, open, (velocity, given), dt);
     let speed = reference::max_speed(velocity);
-    let mut apertures = open.iter().flatten();
-    let cut = apertures.any(|&open| reference::is_sliver(open));
+    let cut = open.iter().flatten().any(|&open| reference::is_sliver(open));
     let given = given + if cut { 160.0 * EPS * speed } else { 0.0 };
     let blended = reference::shown_to_whole(grid, open, velocity);
     let end = end_error(grid, &blended, given, dt);

@@ -93,7 +93,7 @@ impl<'a> SolidComparison<'a> {
         }
         self.table.step = path.clock().step;
         self.dt = f64::from(dt as f32);
-        self.obstacles.move_to(path.clock().time + dt, dt);
+        self.obstacles.move_to(time + dt, dt);
         if path.clock().step == 0 {
             let SolidSnapshot { displacement, velocity, real, .. } = &mut self.before;
             self.solids.start_scripts(displacement, velocity, self.dt);
