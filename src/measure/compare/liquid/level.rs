@@ -215,7 +215,7 @@ impl LiquidComparison<'_> {
         let Some(level) = self.before.level.clone() else { return };
         let (grid, dt, gravity) = (self.grid, self.dt(), self.gravity());
         let (velocity, ballistic) = (&self.before.velocity, self.ballistic());
-        let pushed = if self.effects.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
+        let pushed = if self.effects().cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let advect = |slot: usize, start: [f64; 3]| {
             let mut one = Markers {
                 position: vec![start],
@@ -332,7 +332,7 @@ impl LiquidComparison<'_> {
         let flying = slots.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
         let one = grid.cell_volume();
         let mut total = f64::from(self.step.volume_0) - flying as f64 * one / 8.0;
-        if self.effects.exchange() {
+        if self.effects().exchange() {
             let of_step = after.report.exchanged;
             let volumes =
                 [("volume left", of_step.left), ("volume sunk", of_step.sunk), ("volume filled", of_step.filled)];
@@ -344,7 +344,7 @@ impl LiquidComparison<'_> {
         let bound = 1e-5 * total.abs();
         // Where a target is capped at a multiple of its volume, less than the total is distributed.
         let mut targets = now.component_volume.iter().zip(&twin.volume);
-        let capped = !self.effects.open_sides
+        let capped = !self.effects().open_sides
             && targets.any(|(target, volume)| *target >= 0.999 * reference::LARGEST_TARGET * volume);
         let twin_whole = match (twin.volume.is_empty(), capped) {
             (true, _) => 0.0,
@@ -492,7 +492,7 @@ impl LiquidComparison<'_> {
 
     /// Adds the source of crowded markers to E u* (m^3/s).
     pub(super) fn add_excess(&self, active: &[bool], rhs: &mut reference::RightHandSide) -> f64 {
-        let level = self.before.level.as_ref().filter(|_| self.effects.volume_shift);
+        let level = self.before.level.as_ref().filter(|_| self.effects().volume_shift);
         let Some(level) = level else { return 0.0 };
         let times = [f64::from(self.step.control_time), self.dt()];
         let cells = (0..active.len()).filter(|&cell| active[cell]);

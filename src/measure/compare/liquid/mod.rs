@@ -35,7 +35,6 @@ type Marker = Option<[f64; 3]>;
 /// The twins of the liquid, with the inputs of the device.
 pub(super) struct LiquidComparison<'a> {
     scene: &'a Scene,
-    effects: Effects,
     /// With the dx of the device.
     grid: Grid,
     /// As stored on the device.
@@ -100,7 +99,6 @@ impl<'a> LiquidComparison<'a> {
         let taps = path.taps().map(|(taps, _)| taps.clone());
         Ok(Some(LiquidComparison {
             scene,
-            effects: Effects::of(scene),
             grid,
             open_volumes: reference::open_volumes(&grid, &cut.solid_distance),
             cut,
@@ -148,7 +146,7 @@ impl<'a> LiquidComparison<'a> {
             self.taps.set_velocities(path.clock().time, [path.last_step(), dt]);
             self.lattices = self.taps.lattices(&grid, path.clock().time, dt);
             let inflow: f64 = self.taps.inflows(running, dt).sum();
-            if self.effects.open_sides {
+            if self.effects().open_sides {
                 self.renewed = reference::renewed_volume(inflow / dt, time_step.control_time);
             }
         }
@@ -167,13 +165,13 @@ impl<'a> LiquidComparison<'a> {
         self.table.stage = stage.name();
         match stage {
             Stage::Clip => self.clip(after, clip),
-            _ if self.effects.level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
+            _ if self.effects().level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
             Stage::AdvectMarkers => self.advect_markers(after),
             Stage::Exchange => self.exchange(after),
             Stage::AdvectVelocity => self.advect_velocity(after),
             Stage::Forces => self.forces(after),
             // A fixed surface stays.
-            Stage::LiquidDistance if self.effects.markers && !self.effects.level => self.liquid_distance(after),
+            Stage::LiquidDistance if self.effects().markers && !self.effects().level => self.liquid_distance(after),
             Stage::ActiveCells => self.active_cells(after, both),
             Stage::RightHandSide => self.right_hand_side(after, clip, both),
             Stage::Solve => self.solve(after, both)?,
@@ -198,6 +196,10 @@ impl<'a> LiquidComparison<'a> {
     /// Most cells along an axis: the magnitude of a position in cells.
     fn extent(&self) -> f64 {
         self.grid.cells.into_iter().max().unwrap_or(1) as f64
+    }
+
+    fn effects(&self) -> Effects {
+        Effects::of(self.scene)
     }
 
     fn gravity(&self) -> DVec3 {
@@ -235,7 +237,7 @@ impl<'a> LiquidComparison<'a> {
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = if self.effects.cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
+        let pushed = if self.effects().cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let distance = reference::surface_distance(&grid, solid_distance, &self.before.liquid_distance);
         let surface = reference::Surface { distance: &distance, radius: f64::from(self.step.marker_radius) * grid.dx };
         let error = MarkerError::new(&grid, velocity, surface, dt);
@@ -301,7 +303,7 @@ impl<'a> LiquidComparison<'a> {
         let (grid, n_kept) = (self.grid, kept.len());
         let (taps, running, walls) = (&self.taps, self.running, &self.cut.solid_distance);
         // A level fills its sources by volume.
-        let filled = if self.effects.level {
+        let filled = if self.effects().level {
             let walls = reference::closed_to_markers(walls, &after.liquid_distance, grid.dx);
             reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
             None
@@ -328,7 +330,7 @@ impl<'a> LiquidComparison<'a> {
         let mut velocity = self.before.velocity.clone();
         // A velocity of a source is rounded, and so are product and difference.
         let mut given = 0.0;
-        if self.effects.maccormack && !self.taps.faces.is_empty() {
+        if self.effects().maccormack && !self.taps.faces.is_empty() {
             let fall = 0.5 * dt * self.gravity();
             given = 3.0 * EPS * (reference::max_speed(&velocity) + fall.abs().max_element());
             reference::rewind_sources(&self.taps, &self.cut.open, self.running.running, fall, &mut velocity);
@@ -338,14 +340,14 @@ impl<'a> LiquidComparison<'a> {
         let bound = advection_error(&self.grid, open, (velocity, given), dt);
         let ballistic = self.ballistic();
         let advected = |of: &Ballistic| {
-            if self.effects.maccormack {
+            if self.effects().maccormack {
                 reference::advect_velocity_maccormack(&self.grid, open, velocity, of, [dt, self.courant])
             } else {
                 reference::advect_velocity(&self.grid, open, velocity, of, dt)
             }
         };
         let twin = advected(&ballistic);
-        if self.effects.maccormack {
+        if self.effects().maccormack {
             self.maccormack(after, (&twin, open), (velocity, given));
             return;
         }
@@ -569,17 +571,17 @@ impl<'a> LiquidComparison<'a> {
         let speed = 3.0 * wall_speed + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        let largest = if self.effects.maccormack { self.step.largest_slope.into() } else { 0.0 };
+        let largest = if self.effects().maccormack { self.step.largest_slope.into() } else { 0.0 };
         let extent = (layers, largest);
-        let held = self.effects.separation.then(|| {
+        let held = self.effects().separation.then(|| {
             let pairs = self.before.active.iter().zip(&self.before.separated);
             pairs.map(|(active, separated)| *active && !*separated).collect::<Vec<_>>()
         });
         reference::extrapolate_one_sided(&grid, &self.cut, (walls, held.as_deref()), valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
-        let blended = if self.effects.cuts() { 64.0 } else { 0.0 };
+        let blended = if self.effects().cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
-        let cut = self.effects.cuts().then_some(&self.cut);
+        let cut = self.effects().cuts().then_some(&self.cut);
         self.table.judge_faces(["u", "m/s"], |axis, face| {
             let a = axis.index();
             // Outside the band the device has no velocities, not even those of bodies.
@@ -603,7 +605,7 @@ impl<'a> LiquidComparison<'a> {
     /// 1/dx; the flux of solids is a sum of products with areas in f32.
     fn diagnose(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
-        let filled = self.effects.level.then(|| reference::filled_distance(&grid, &after.liquid_distance));
+        let filled = self.effects().level.then(|| reference::filled_distance(&grid, &after.liquid_distance));
         let phi = filled.as_ref().unwrap_or(&after.liquid_distance);
         let (density, gravity) = (f64::from(self.step.density), self.gravity());
         let stencil = after.active_cells(&grid).stencil;
@@ -631,7 +633,7 @@ impl<'a> LiquidComparison<'a> {
         let gpu = after.report.diagnosis;
         let spray_volume = spray.len() as f64 * grid.cell_volume() / 8.0;
         // A filled part is a mean of eight samples of up to five cells, each of 27 values, doubled.
-        let parts = if self.effects.level { 160.0 * EPS } else { 0.0 };
+        let parts = if self.effects().level { 160.0 * EPS } else { 0.0 };
         let off = self.sum_error(after.real, phi) + parts;
         let volume = off * (self.wet_volume(phi) + spray_volume);
         let spray_speed = largest(spray.iter().flat_map(|(_, v)| v.map(f64::abs)));

@@ -93,7 +93,7 @@ impl LiquidComparison<'_> {
             let mean = potential.clone().sum::<f64>() / component.len() as f64;
             if after.closed[component[0]] {
                 let level =
-                    if self.effects.separation { potential.clone().fold(f64::INFINITY, f64::min) } else { mean };
+                    if self.effects().separation { potential.clone().fold(f64::INFINITY, f64::min) } else { mean };
                 let bound = 4.0 * EPS * largest(potential.map(f64::abs));
                 self.table.whole(["level of enclosed liquid", "m/s"], level, 0.0, bound);
             }
