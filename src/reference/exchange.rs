@@ -162,12 +162,7 @@ fn eighth_of(grid: &Grid, x: [f64; 3]) -> usize {
 
 /// In `forces`: sets u* (m/s) on the faces of running sources. Closed faces are unchanged.
 pub fn hold_faces(taps: &SourcesAndSinks, open: &[Vec<f64>; 3], running: u32, velocity: &mut [Vec<f64>; 3]) {
-    for face in &taps.faces {
-        let a = face.axis.index();
-        if let Some(source) = face.prescribed(running).filter(|_| open[a][face.face] > 0.0) {
-            velocity[a][face.face] = source.velocity;
-        }
-    }
+    rewind_sources(taps, open, running, DVec3::ZERO, velocity);
 }
 
 /// In `advect_velocity` of liquid with a level, first: subtracts half a sub-step of gravity, `fall` = dt g / 2, from the velocities (m/s) of the
@@ -180,11 +175,10 @@ pub fn rewind_sources(
     fall: DVec3,
     velocity: &mut [Vec<f64>; 3],
 ) {
-    hold_faces(taps, open, running, velocity);
     for face in &taps.faces {
         let a = face.axis.index();
-        if face.prescribed(running).is_some() && open[a][face.face] > 0.0 {
-            velocity[a][face.face] -= fall[a];
+        if let Some(source) = face.prescribed(running).filter(|_| open[a][face.face] > 0.0) {
+            velocity[a][face.face] = source.velocity - fall[a];
         }
     }
 }
