@@ -1,4 +1,4 @@
-// bound_level, fourth of five: bounds of thin liquid by the occupancy F and the curvature of the level (equations in the twin,
+// bound_level, second of three: bounds of thin liquid by the occupancy F and the curvature of the level (equations in the twin,
 // reference/bound_level.rs). One thread per quad of the band.
 // level, step. band_args, band_list: the band. valid, occupied: see level_cells. carried_level: cells. occupancy: F. thin: per
 // quad the lanes in thin liquid. new_level: cells, out in those.
@@ -23,6 +23,8 @@
 // The constants of reference/bound_level.rs.
 // Occupancy at the surface of thin liquid.
 const THIN_LEVEL = 0.47;
+// Tolerance of the bound of thin liquid by air, cells.
+const FILM = 0.1;
 // Depth that a surface loses per curvature, cells^2.
 const PER_CURVATURE = 1.0 / 6.0;
 // Largest curvature that counts, 1 / cells.
@@ -74,8 +76,8 @@ fn bound_thin(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
         let n = firstTrailingBit(wanted);
         wanted &= wanted - 1u;
         let t = flat[n] - PER_CURVATURE * curvature(first + n);
-        if t > 0.0 {
-            new_level[first + n] = max(phi[n], t);
+        if t > FILM {
+            new_level[first + n] = max(phi[n], t - FILM);
         } else if t < 0.0 {
             new_level[first + n] = min(phi[n], t);
         }

@@ -134,7 +134,6 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/sweep"),
     crate::wgsl!("common/symmetric"),
     crate::wgsl!("common/tally"),
-    crate::wgsl!("common/thick"),
     crate::wgsl!("common/tiles"),
     crate::wgsl!("common/trace"),
     crate::wgsl!("common/tree"),
