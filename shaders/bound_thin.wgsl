@@ -22,7 +22,7 @@
 
 // The constants of reference/bound_level.rs.
 // Occupancy at the surface of thin liquid.
-const THIN_LEVEL = 0.47;
+const THIN_LEVEL = 0.485;
 // Tolerance of the bound of thin liquid by air, cells.
 const FILM = 0.1;
 // Depth that a surface loses per curvature, cells^2.

@@ -4,14 +4,14 @@
 //!
 //! ```text
 //! t = 1.6 (1/2 - G F),                           a = l = 1/2        in thick liquid, F <= 1
-//! t = - sign(q) (1 - sqrt(1 - |q|)) - kappa / 6, a = 0.1, l = 0     in thin liquid, q = 2 (F - 0.47) within [-1, 1]
+//! t = - sign(q) (1 - sqrt(1 - |q|)) - kappa / 6, a = 0.1, l = 0     in thin liquid, q = 2 (F - 0.485) within [-1, 1]
 //! phi := max(phi, t - a) where t - a > 0,        phi := min(phi, t + l) where t + l < 0
 //! ```
 //!
 //! The second t is the distance of a flat surface normal to an axis from a cell with that occupancy. kappa is the curvature,
 //! the Laplacian of phi within [-1, 1]. It moves the apparent surface inwards by kappa / 12 cells twice: in F, since the
 //! tent has a variance of 1/6 along each axis, and in the interpolant of a distance, whose zero level encloses the volume.
-//! Without the correction drops of two cells lose a fifth. With 1/2 instead of 0.47 all thin liquid loses three hundredths
+//! Without the correction drops of two cells lose a fifth. With 1/2 instead of 0.485 all thin liquid loses a hundredth and a half
 //! of a cell. With a = 0 films in the middle of a cell vanish below half a cell: their occupancy is their thickness, and the level minus half
 //! of it. With 0.2 and more some splashes gain volume. G is a pass of (1/4, 1/2, 1/4) along each axis. In thick liquid only a
 //! surface that differs by half a cell moves, so the noise of the markers has no effect.
@@ -36,7 +36,7 @@ pub const THIN: f64 = -1.25;
 /// Slope below which the level has no direction.
 const LEAST_SLOPE: f64 = 0.1;
 /// Occupancy at the surface of thin liquid.
-const THIN_LEVEL: f64 = 0.47;
+const THIN_LEVEL: f64 = 0.485;
 /// Depth that a surface loses per curvature, cells^2.
 const PER_CURVATURE: f64 = 1.0 / 6.0;
 /// Largest curvature that counts, 1 / cells.

@@ -13,11 +13,8 @@ pub fn bound_level(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> R
         let bound = Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid, level])?;
         Ok::<_, Error>(bound.indirect(&liquid.band_args, 0))
     };
-    let mut list = vec![
-        over_band(wgsl!("mark_thin"))?,
-        over_band(wgsl!("bound_thin"))?,
-        over_band(wgsl!("bound_level"))?,
-    ];
+    let mut list =
+        vec![over_band(wgsl!("mark_thin"))?, over_band(wgsl!("bound_thin"))?, over_band(wgsl!("bound_level"))?];
     if liquid.plan.effects.separation {
         list.push(over_band(wgsl!("raise_separated"))?);
     }

@@ -2,14 +2,14 @@
 
 use cutwater::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
 use cutwater::geometry::{CutCells, MARKERS_PER_CELL, Running, SourcesAndSinks, obstacle_cut};
-use cutwater::gpu::{Gpu, Recorder};
+use cutwater::gpu::{Dispatches, Gpu, Kernel, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference;
 use cutwater::scene::{Scene, VectorKeyframe};
 use glam::DVec3;
 
 use crate::common::{Random, far_below, gpu, surface};
-use crate::liquid_case::{Case, EPS, assert_close, single};
+use crate::liquid_case::{Case, EPS, GRAVITY, assert_close, single};
 
 /// Sources and sinks that overlap each other, an obstacle and walls, in a grid whose rows have one spare cell.
 pub(crate) fn scene() -> Scene {
@@ -68,7 +68,7 @@ impl Run {
                 effects,
                 n_markers: case.state.markers.len() + MARKERS_PER_CELL * taps.source_cells.len(),
                 cfl: case.cfl,
-                real: cutwater::gpu::Real::F32,
+                real: Real::F32,
             },
         )
         .unwrap();
@@ -181,6 +181,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
         let mut twin = u.clone();
         reference::hold_faces(&run.taps, &cut.open, running.running, &mut twin);
         assert_eq!(run.buffers.read_faces(gpu, &run.buffers.velocity_next).unwrap(), twin);
+        rewinds_as_in_the_twin(gpu, &run, &sources, running);
         let flux_open = run.taps.flux_apertures(&cut.open, running.running);
         let solve_open = run.buffers.read_faces(gpu, run.buffers.solve_open()).unwrap();
         let fractions = |of: fn(f64) -> f64| {
@@ -213,6 +214,30 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
                 assert_eq!(bit(&words, axis, face, 0), valid[a][face], "{axis:?} {face}");
                 assert!(!valid[a][face] || velocity[a][face] == twin[a][face]);
             }
+        }
+    }
+}
+
+/// The faces of running sources have their velocity half a sub-step of gravity earlier, and others keep theirs.
+fn rewinds_as_in_the_twin(gpu: &Gpu, run: &Run, sources: &Sources, running: Running) {
+    let before = &run.case.state.velocity;
+    gpu.upload(&run.buffers.velocity, &run.buffers.pad_faces(before));
+    let kernel = Kernel::new(gpu, &cutwater::wgsl!("rewind_sources"), Real::F32).unwrap();
+    let mut recorder = Recorder::new(gpu);
+    let rewind = kernel.bind(gpu, &[], &[sources, &run.buffers]).unwrap().threads(run.taps.faces.len());
+    Dispatches::new("rewind", [rewind]).record(&mut recorder);
+    recorder.submit();
+    let device = run.buffers.read_faces(gpu, &run.buffers.velocity).unwrap();
+    let mut twin = before.clone();
+    let fall = DVec3::from(GRAVITY) * 0.5 * run.case.dt;
+    reference::rewind_sources(&run.taps, &run.case.cut.open, running.running, fall, &mut twin);
+    let changed = |a: usize| twin[a].iter().zip(&before[a]).any(|(after, before)| after != before);
+    assert_eq!((0..3).any(changed), running.running != 0);
+    // The products of a step and half of gravity, and a difference.
+    let bound = EPS * (2.0 * fall.abs().max_element() + 2.0);
+    for (device, (twin, before)) in device.iter().zip(twin.iter().zip(before)) {
+        for (device, (twin, before)) in device.iter().zip(twin.iter().zip(before)) {
+            assert!(f64::abs(device - twin) <= if twin == before { 0.0 } else { bound }, "{device}, {twin}");
         }
     }
 }
