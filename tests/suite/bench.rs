@@ -9,7 +9,7 @@ use cutwater::measure::bench::accuracy::{cheapest, ensure_truth, recommended};
 use cutwater::measure::bench::effects::pairs::{self, Cost};
 use cutwater::measure::bench::effects::{bytes_in_use, costs};
 use cutwater::measure::bench::ended::{Ended, is_solved};
-use cutwater::measure::bench::outputs::Scratch;
+use cutwater::measure::bench::outputs::scratch;
 use cutwater::measure::bench::solve::{Capacity, PER_CELL};
 use cutwater::measure::bench::statistics::{Exponents, Spread, exponent};
 use cutwater::measure::bench::step::{largest, units};
@@ -413,14 +413,13 @@ fn frames_are_timed_in_a_folder_that_goes() {
     let left = out.join(".bench_effects/frames/of_a_bench_that_was_killed.vtp");
     fs::create_dir_all(left.parent().unwrap()).unwrap();
     fs::write(&left, "").unwrap();
-    let scratch = Scratch::new(out).unwrap();
-    assert!(!left.exists() && scratch.frames().starts_with(out));
-    drop(scratch);
-    assert_eq!(fs::read_dir(out).unwrap().count(), 0);
+    let frames = scratch(out).unwrap();
+    assert!(!left.exists() && frames.starts_with(out));
+    fs::remove_dir(frames).unwrap();
     let file = out.join(".bench_effects");
     fs::write(&file, "not the bench's").unwrap();
     for out in [out, file.as_path()] {
-        let error = Scratch::new(out).unwrap_err();
+        let error = scratch(out).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
         assert!(error.to_string().contains(".bench_effects"), "{error}");
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use cutwater::measure::bench::accuracy::{Options, measure};
 use cutwater::measure::bench::table::Row;
 use cutwater::reference::larger;
-use cutwater::scene::{Formulation, Precision, Preconditioner, Scene};
+use cutwater::scene::{Precision, Preconditioner, Scene};
 
 use crate::bench::{assert_spread, counted, measured, numbers, settings};
 use crate::common::{adapter, gpu};
@@ -21,7 +21,6 @@ fn options(name: &str, scale: f64, overrides: &[&str]) -> Options {
         grids: Vec::new(),
         precisions: vec![Precision::F32, Precision::Mixed],
         preconditioners: vec![Preconditioner::Multigrid],
-        formulations: vec![Formulation::Condensed, Formulation::TwoField],
         tolerances: vec![1e-3, 1e-6, 1e-9],
         max_iterations: 500,
         adapter: adapter(),
@@ -167,7 +166,6 @@ fn tables_are_written_as_their_rows_come() {
         scenes: [first.scenes.clone(), second.scenes].concat(),
         precisions: vec![Precision::Mixed],
         preconditioners: vec![Preconditioner::BlockJacobi],
-        formulations: vec![Formulation::TwoField],
         tolerances: vec![1e-3],
         ..first
     };

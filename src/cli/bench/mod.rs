@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use crate::Error;
 use crate::gpu::Gpu;
 use crate::measure::bench::{Event, Listener, Results, Settings, accuracy, device, effects, stability, thesis};
-use crate::scene::{Formulation, Precision, Preconditioner, Scene};
+use crate::scene::{Precision, Preconditioner, Scene};
 use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, Subcommand};
 
@@ -299,7 +299,6 @@ impl Accuracy {
             grids: self.grids.clone(),
             precisions: self.precision.clone(),
             preconditioners: self.preconditioner.clone(),
-            formulations: vec![Formulation::Condensed, Formulation::TwoField],
             tolerances: self.tolerance.clone(),
             max_iterations: self.max_iterations,
             adapter: self.adapter.choice(),

@@ -5,10 +5,9 @@
 //! that of the same sub-step on the f64 path. Exact solutions are by sparse factors, with liquid above 60,000 unknowns by conjugate gradients. They
 //! are refined to 1e-13, or as far as rounding allows; above 1e-10 the bench fails.
 //!
-//! Problems on grids (`grids`): their pressure is known, so errors are those of grid and solve together.
+//! Problems on grids (`exact`): their pressure is known, so errors are those of grid and solve together.
 
 mod exact;
-mod grids;
 mod states;
 
 use std::cmp::Ordering;
@@ -22,7 +21,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::reference::larger;
-use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
+use crate::scene::{CouplingScheme, Precision, Preconditioner, Scene, Solver};
 use crate::state::{SolveReport, SolveStatus};
 
 pub use exact::{Exact, dam_release};
@@ -59,8 +58,6 @@ pub struct Options {
     pub precisions: Vec<Precision>,
     /// Preconditioners.
     pub preconditioners: Vec<Preconditioner>,
-    /// Forms of solves where liquid and solids touch.
-    pub formulations: Vec<Formulation>,
     /// Relative tolerances of the true residuals.
     pub tolerances: Vec<f64>,
     /// Most iterations over all refinement steps.
@@ -71,70 +68,44 @@ pub struct Options {
 
 columns! {
     STATE {
-        scene = "" "name of the scene";
-        frame + "" "frame of the state";
+        + scene "" "name of the scene";
+        + frame "" "frame of the state";
     }
-    CELLS { cells - "" "cells of the domain"; }
+    CELLS { - cells "" "cells of the domain"; }
     SIZES {
-        unknowns - "" "of the pressure";
-        solid_unknowns - "" "of the solids";
+        - unknowns, solid_unknowns "" "of the pressure, and of the solids";
     }
     PROBLEM {
-        problem + "" "`elastic_block`, `pool_at_rest` or `dam_release`";
-        grid + "" "cells along 1 m";
+        + problem "" "`elastic_block`, `pool_at_rest` or `dam_release`";
+        + grid "" "cells along 1 m";
     }
-    TARGET { target + "" "bound of the errors"; }
-    PRECISION { precision + "" "`f32`, `mixed` or `f64`"; }
+    TARGET { + target "" "bound of the errors"; }
+    PRECISION { + precision "" "`f32`, `mixed` or `f64`"; }
     FORM {
-        preconditioner + "" "`multigrid`, `jacobi` or `block_jacobi`";
-        formulation + "" "`two-field`, `condensed`, or `apart` where liquid and solids do not touch";
+        + preconditioner "" "`multigrid`, `jacobi` or `block_jacobi`";
+        + formulation "" "`two-field`, `condensed`, or `apart` where liquid and solids do not touch";
     }
-    TOLERANCE { tolerance + "" "relative, of the true residuals"; }
-    STATUS { status + "" "`converged`, `converged_to_rounding` or why not"; }
+    TOLERANCE { + tolerance "" "relative, of the true residuals"; }
+    STATUS { + status "" "`converged`, `converged_to_rounding` or why not"; }
     TIME {
-        iterations + "" "conjugate-gradient iterations, over all refinement steps";
-        seconds ~ "s" "seconds of the solve";
+        + iterations "" "conjugate-gradient iterations, over all refinement steps";
+        ~ seconds "s" "seconds of the solve";
     }
     ERRORS {
-        error_p + "" "largest error of p over the largest p, against the exact solution of the stored system";
-        error_v + "" "the same of the velocities of the nodes";
-        step_error_p - "" "of p, against the sub-step on the f64 path";
-        step_error_v - "" "of the nodes";
-        step_error_u - "" "of the faces, after the projection";
+        + error_p, error_v "" "largest error of p and of the nodes' v over the largest value, against the exact solution of the stored system";
+        - step_error_p, step_error_v, step_error_u "" "against the sub-step on the f64 path; u of the faces, after the projection";
     }
     RESIDUALS {
-        residual_p - "" "true relative residual of the pressure";
-        residual_v - "" "of the velocities";
-        truth_residual - "" "residual of the exact solution";
-        divergence - "1/s" "largest after the projection, without volume control";
-        speed_over_g_dt - "" "of a liquid at rest: imbalance of pressure and gravity";
+        - residual_p, residual_v "" "true relative residuals of the pressure and of the velocities";
+        - truth_residual "" "residual of the exact solution";
+        - divergence "1/s" "largest after the projection, without volume control";
+        - speed_over_g_dt "" "of a liquid at rest: imbalance of pressure and gravity";
     }
     GRID_ERRORS {
-        error_p + "" "largest error of p over the largest p";
-        grid_error_p + "" "the same on the f64 path to 1e-13: error of the grid alone";
-        error_u + "" "largest speed of liquid and nodes at rest over g dt";
-        grid_error_u - "" "the same on the f64 path";
-    }
-}
-
-fn bench() -> Bench {
-    let state = &["scene", "frame", "precision", "preconditioner", "formulation", "tolerance"];
-    let problem = &["problem", "grid", "precision", "tolerance"];
-    Bench {
-        name: "accuracy",
-        tables: vec![
-            Table::new(
-                "accuracy",
-                &[STATE, CELLS, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS],
-                state,
-            ),
-            Table::new("accuracy_best", &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS], &[]),
-            Table::new("accuracy_grids", &[PROBLEM, SIZES, PRECISION, TOLERANCE, STATUS, TIME, GRID_ERRORS], problem),
-            Table::new("accuracy_grids_best", &[PROBLEM, TARGET, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
-            Table::new("accuracy_grids_enough", &[PROBLEM, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
-        ],
-        derive,
-        pictures: &[("accuracy", draw_states), ("accuracy_grids", draw_grids)],
+        + error_p "" "largest error of p over the largest p";
+        + grid_error_p "" "the same on the f64 path to 1e-13: error of the grid alone";
+        + error_u "" "largest speed of liquid and nodes at rest over g dt";
+        - grid_error_u "" "the same on the f64 path";
     }
 }
 
@@ -148,8 +119,8 @@ impl Options {
                 "add --set solver.coupling=strong",
             ));
         }
-        let fits = |grid: usize| (10..=320).contains(&grid) && grid.is_multiple_of(10);
-        if let Some(grid) = self.grids.iter().find(|&&grid| !fits(grid)) {
+        let fits = |grid: &usize| (10..=320).contains(grid) && grid.is_multiple_of(10);
+        if let Some(grid) = self.grids.iter().find(|grid| !fits(grid)) {
             return Err(Error::input(
                 format!("--grids {grid}"),
                 "walls and surfaces of the problems do not lie on faces of such cells",
@@ -168,14 +139,31 @@ impl Options {
 /// accuracy.json, accuracy.svg, accuracy_grids.svg.
 ///
 /// # Errors
-/// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit; [`Error::Output`]; [`Error::Stage`]
-/// without an exact solution; errors of the simulations.
+/// [`Error::Stage`] without an exact solution.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
+    let state = &["scene", "frame", "precision", "preconditioner", "formulation", "tolerance"];
+    let problem = &["problem", "grid", "precision", "tolerance"];
+    let bench = Bench {
+        name: "accuracy",
+        tables: vec![
+            Table::new(
+                "accuracy",
+                &[STATE, CELLS, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS],
+                state,
+            ),
+            Table::new("accuracy_best", &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS], &[]),
+            Table::new("accuracy_grids", &[PROBLEM, SIZES, PRECISION, TOLERANCE, STATUS, TIME, GRID_ERRORS], problem),
+            Table::new("accuracy_grids_best", &[PROBLEM, TARGET, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
+            Table::new("accuracy_grids_enough", &[PROBLEM, PRECISION, TOLERANCE, TIME, GRID_ERRORS], &[]),
+        ],
+        derive,
+        pictures: &[("accuracy", draw_states), ("accuracy_grids", draw_grids)],
+    };
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
-    let Options { precisions, preconditioners, formulations, tolerances, max_iterations, .. } = options;
-    let solvers = (precisions, preconditioners, formulations, tolerances, max_iterations);
-    let mut run = Run::start(bench(), machine, &(hashes(&options.scenes), solvers), settings, listener)?;
+    let Options { precisions, preconditioners, tolerances, max_iterations, .. } = options;
+    let solvers = (precisions, preconditioners, tolerances, max_iterations);
+    let mut run = Run::start(bench, machine, &(hashes(&options.scenes), solvers), settings, listener)?;
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
@@ -186,7 +174,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     for &(_, problem) in Exact::NAMES {
         for &grid in &options.grids {
             let key = row! { problem: problem.name(), grid: grid };
-            cases.push(Case::new("accuracy_grids", key, move |run| grids::measure(run, problem, grid, options)));
+            cases.push(Case::new("accuracy_grids", key, move |run| problem.measure(run, grid, options)));
         }
     }
     run.cases(cases)?;
@@ -223,8 +211,7 @@ fn better(a: &Row, b: &Row) -> Ordering {
 
 /// Rank of the precision.
 fn width(row: &Row) -> Option<usize> {
-    let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(Precision::name);
-    ascending.iter().position(|name| *name == row.text("precision"))
+    Precision::NAMES.iter().position(|(name, _)| *name == row.text("precision"))
 }
 
 /// Preferred row among the fastest: least seconds at most the largest of the row with the least median, and at most `AS_FAST` times that median.

@@ -10,11 +10,9 @@ use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, R
 
 columns! {
     DEVICE {
-        quantity + "" "measured quantity";
-        unit + "" "its unit";
-        median + "" "median of the repeats";
-        min + "" "least";
-        max + "" "largest";
+        + quantity "" "measured quantity";
+        + unit "" "its unit";
+        + median, min, max "" "median, least and largest of the repeats";
     }
 }
 
@@ -26,11 +24,10 @@ const OPERATIONS: f64 = 256.0 * 8.0 * 2.0;
 const MANY: usize = 512;
 /// Least duration of a measurement, s.
 const LONG_ENOUGH: f64 = 0.02;
+/// Largest number of dispatches of a measurement.
+const MOST: usize = 1 << 14;
 
 /// Measures all quantities: device.csv, device.json.
-///
-/// # Errors
-/// [`Error::Output`] and [`Error::Input`] for the folder, before any work; later the errors of the device.
 pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let bench = Bench {
         name: "device",
@@ -81,7 +78,7 @@ fn repeat(repeats: usize, mut run: impl FnMut() -> Result<f64, Error>) -> Result
 }
 
 /// A kernel that copies 16 bytes a thread, between buffers of `n` f32, and its target.
-pub(super) fn copying(gpu: &Gpu, n: usize) -> Result<(Bound, Buffer<f32>), Error> {
+fn copying(gpu: &Gpu, n: usize) -> Result<(Bound, Buffer<f32>), Error> {
     let source: Buffer<f32> = gpu.buffer("bench.source", n)?;
     let target: Buffer<f32> = gpu.buffer("bench.target", n)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("copy"), Real::F32)?;
@@ -90,12 +87,7 @@ pub(super) fn copying(gpu: &Gpu, n: usize) -> Result<(Bound, Buffer<f32>), Error
 }
 
 /// Seconds of submissions of `n` dispatches each, to the end of their work.
-pub(super) fn dispatches(
-    gpu: &Gpu,
-    submissions: usize,
-    n: usize,
-    mut record: impl FnMut(&mut Pass),
-) -> Result<f64, Error> {
+fn dispatches(gpu: &Gpu, submissions: usize, n: usize, mut record: impl FnMut(&mut Pass)) -> Result<f64, Error> {
     gpu.wait("bench device")?;
     let clock = Instant::now();
     for _ in 0..submissions {
@@ -107,18 +99,27 @@ pub(super) fn dispatches(
     Ok(clock.elapsed().as_secs_f64())
 }
 
-/// Number of dispatches, doubled from `n` to at most `most`, that take some seconds. The first run compiles.
-pub(super) fn enough(
-    mut n: usize,
-    most: usize,
-    seconds: f64,
-    run: impl Fn(usize) -> Result<f64, Error>,
-) -> Result<usize, Error> {
+/// Work per second of a kernel. `work`: of one dispatch.
+fn rate(gpu: &Gpu, repeats: usize, bound: &Bound, threads: usize, work: f64) -> Result<Spread, Error> {
+    let run = |n: usize| dispatches(gpu, 1, n, |pass| pass.dispatch(bound, threads));
+    // The first run compiles; then as many dispatches as hide the latency of submission and wait.
+    let mut n = 1;
     run(n)?;
-    while run(n)? < seconds && n < most {
+    while run(n)? < LONG_ENOUGH && n < MOST {
         n *= 2;
     }
-    Ok(n)
+    repeat(repeats, || Ok(n as f64 * work / run(n)?))
+}
+
+/// Bytes read and written per second by a copy between buffers that are larger than the caches of CPUs, and of GPUs.
+pub(super) fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
+    let report = gpu.report();
+    let bytes = match report.kind {
+        "software" => 64 << 20,
+        _ => (256 << 20).min(report.storage_binding.min(report.buffer) as usize),
+    };
+    let (copy, _target) = copying(gpu, bytes / 4)?;
+    rate(gpu, repeats, &copy, bytes / 16, (2 * bytes) as f64)
 }
 
 /// Operations per second of fused multiply-adds.
@@ -126,11 +127,7 @@ fn arithmetic(gpu: &Gpu, real: Real, repeats: usize) -> Result<Spread, Error> {
     let target = RealBuffer::new(gpu, "bench.target", THREADS, real)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("multiply_add"), real)?;
     let bound = kernel.bind(gpu, &[("target_out", (&target).into())], &[])?;
-    let run = |n: usize| dispatches(gpu, 1, n, |pass| pass.dispatch(&bound, THREADS));
-    // As many dispatches as hide the latency of submission and wait.
-    let n = enough(1, 1 << 14, LONG_ENOUGH, run)?;
-    let work = OPERATIONS * (THREADS * n) as f64;
-    repeat(repeats, || Ok(work / run(n)?))
+    rate(gpu, repeats, &bound, THREADS, OPERATIONS * THREADS as f64)
 }
 
 /// A kernel that does next to nothing.

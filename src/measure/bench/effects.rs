@@ -1,21 +1,18 @@
 //! `bench effects`: time, bytes and dispatches that each effect of a scene adds to a sub-step, and the cost of each output of a frame.
 //!
-//! From the state after each frame, a sub-step runs with all effects and without one of them, in alternating order. The seconds that an effect adds are
-//! the median of the paired differences, with an interval that contains their true median. Bytes are those of all buffers at the end. Dispatches of
-//! the solve depend on its iterations and have their own column. Every output is timed on the same states ([`super::outputs`]).
-//!
-//! `liquid` and `solids` include their coupling. The row [`COUPLING`] is the scene less its liquid alone less its solids alone. Absent effects share the
-//! row [`ABSENT`]: the scene against itself with these effects removed; bytes and dispatches must be equal. The row [`ITSELF`] is the scene against
-//! the same scene: its seconds are noise.
+//! From the state after each frame, a sub-step runs with all effects and without one of them, in alternating order. Bytes are those of all buffers at
+//! the end. `liquid` and `solids` include their coupling. Every output is timed on the same states ([`super::outputs`]).
 
 mod left_out;
 pub mod pairs;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
 use std::time::Instant;
 
 use super::chart::{Bars, Page};
-use super::outputs::{self, OUTPUT, Scratch};
+use super::outputs::{self, OUTPUT};
 use super::statistics::Spread;
 use super::table::{Row, Table, columns, row};
 use super::{Bench, Case, Listener, Machine, Results, Rows, Run, SEED, Settings, hashes};
@@ -29,9 +26,9 @@ use crate::state::State;
 pub use left_out::{EFFECTS, Effect, IsKind, PROBES};
 use pairs::{Cost, Pair};
 
-/// Row of the control, copied by all absent effects.
+/// Row of the control, copied by all absent effects: the scene against itself with these effects removed. Bytes and dispatches must be equal.
 pub const ABSENT: &str = "absent";
-/// Row of the scene against itself.
+/// Row of the scene against itself: its seconds are noise.
 pub const ITSELF: &str = "itself";
 /// Row of the coupling. No scene has liquid and solids without coupling, so it is compared with the sum of two scenes, one without solids and one without
 /// liquid. Their common parts count twice.
@@ -55,31 +52,26 @@ pub struct Options {
 
 columns! {
     EFFECT {
-        scene = "" "name of the scene";
-        effect + "" "effect, kind of probes, `coupling`, `absent` or `itself`";
-        present + "" "whether the scene has it; if not, the numbers are those of the row `absent`";
-        seconds_with - "s" "sub-step of the scene, median";
-        seconds_without - "s" "without the effect; empty where no scene is left";
-        seconds_added + "s" "median of the paired differences";
-        seconds_added_low - "s" "their first quartile";
-        seconds_added_high - "s" "their third";
-        seconds_told + "" "`adds`, `saves`, `not told apart from nothing` or `too few pairs`";
-        seconds_told_low - "s" "interval that contains the true median with at least 95 %";
-        seconds_told_high - "s" "its upper end";
-        bytes_added + "B" "buffers that the effect adds";
-        dispatches_added + "" "outside of the solve, median";
-        dispatches_differ - "" "pairs with different numbers of these";
-        solve_dispatches_added - "" "in the solve, median";
-        kernels - "" "kernels that only the effect compiles";
-        pairs - "" "pairs of sub-steps";
-        slower - "" "pairs in which the scene with it took longer";
+        + scene "" "name of the scene";
+        + effect "" "effect, kind of probes, `coupling`, `absent` or `itself`";
+        + present "" "whether the scene has it; if not, the numbers are those of the row `absent`";
+        - seconds_with "s" "sub-step of the scene, median";
+        - seconds_without "s" "without the effect; empty where no scene is left";
+        + seconds_added "s" "median of the paired differences";
+        - seconds_added_low, seconds_added_high "s" "their first and third quartile";
+        + seconds_told "" "`adds`, `saves`, `not told apart from nothing` or `too few pairs`";
+        - seconds_told_low, seconds_told_high "s" "interval that contains the true median with at least 95 %";
+        + bytes_added "B" "buffers that the effect adds";
+        + dispatches_added "" "outside of the solve, median";
+        - dispatches_differ "" "pairs with different numbers of these";
+        - solve_dispatches_added "" "in the solve, median";
+        - kernels "" "kernels that only the effect compiles";
+        - pairs "" "pairs of sub-steps";
+        - slower "" "pairs in which the scene with it took longer";
     }
 }
 
 /// Measures all scenes: effects.csv, effects_outputs.csv, effects.json, effects.svg. Failures: scenes with absent effects that have a cost.
-///
-/// # Errors
-/// [`Error::Output`], before any work if the folder cannot be written; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let bench = Bench {
         name: "effects",
@@ -93,12 +85,17 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     // A separate device, whose buffers do not count.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
     let mut run = Run::start(bench, machine, &(hashes(&options.scenes), options.frames), settings, listener)?;
-    let scratch = Scratch::new(&settings.out)?;
+    let scratch = outputs::scratch(&settings.out)?;
+    // `report` ignores folders of this name.
+    let frames = scratch.join("frames");
     let cases = options.scenes.iter().map(|scene| {
         let key = row! { scene: scene.name.as_str(), effect: ITSELF };
-        Case::new("effects", key, |_| scene_rows(scene, options, &scratch))
+        Case::new("effects", key, |_| scene_rows(scene, options, &frames))
     });
-    run.cases(cases.collect())?;
+    let done = run.cases(cases.collect());
+    // After a failure the next bench tries again and reports it.
+    let _ = fs::remove_dir_all(&scratch);
+    done?;
     let failed = run.results.rows("effects").iter().filter(|row| row.text("effect") == ABSENT && costs(row));
     run.results.failures = failed.map(failure).collect();
     Ok(run.results)
@@ -125,19 +122,21 @@ fn failure(row: &Row) -> String {
     )
 }
 
-/// A scene that is timed.
-struct Timed {
+/// A scene or a reduced one, and the pairs of sub-steps of the whole scene with it.
+struct Part {
+    name: &'static str,
     scene: Scene,
     simulation: Simulation,
     /// Number of buffers at the start.
     at_start: usize,
+    pairs: Vec<Pair>,
 }
 
-impl Timed {
-    fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
+impl Part {
+    fn new(name: &'static str, scene: Scene, adapter: &AdapterChoice) -> Result<Part, Error> {
         let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
         let at_start = simulation.gpu().map_or(0, |gpu| gpu.allocated().len());
-        Ok(Timed { scene, simulation, at_start })
+        Ok(Part { name, scene, simulation, at_start, pairs: Vec::new() })
     }
 
     fn gpu(&self) -> &Gpu {
@@ -188,15 +187,8 @@ pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
     in_use.sum()
 }
 
-/// A reduced scene, and its pairs of sub-steps with the whole scene.
-struct Part {
-    name: &'static str,
-    timed: Timed,
-    pairs: Vec<Pair>,
-}
-
 /// Rows of the effects and of the outputs of a scene.
-fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Rows, Error> {
+fn scene_rows(scene: &Scene, options: &Options, frames: &Path) -> Result<Rows, Error> {
     // States at the start and after each frame, from a separate path: buffers that grow meanwhile would count for the whole scene only.
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     let mut states = vec![simulation.state()?];
@@ -207,23 +199,23 @@ fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Row
         states.push(simulation.state()?);
     }
     drop(simulation);
-    let mut whole = Timed::new(scene.clone(), &options.adapter)?;
+    let mut whole = Part::new("", scene.clone(), &options.adapter)?;
     let mut parts = parts(scene, options)?;
     let mut random = fastrand::Rng::with_seed(SEED);
     // The first compiles and warms caches.
     for (sample, state) in states.iter().enumerate() {
         random.shuffle(&mut parts);
         for part in &mut parts {
-            let without = (sample % 2 == 1).then(|| part.timed.time(state)).transpose()?;
+            let without = (sample % 2 == 1).then(|| part.time(state)).transpose()?;
             let with = whole.time(state)?;
-            let without = without.map_or_else(|| part.timed.time(state), Ok)?;
+            let without = without.map_or_else(|| part.time(state), Ok)?;
             if sample > 0 {
                 part.pairs.push([with, without]);
             }
         }
     }
     let rows = rows(scene, &whole, &parts);
-    let outputs = outputs::measure(scene, &mut whole.simulation, &states, &scratch.frames(), &mut random)?;
+    let outputs = outputs::measure(scene, &mut whole.simulation, &states, frames, &mut random)?;
     let outputs = outputs.into_iter().map(|row| ("effects_outputs", row));
     Ok(rows.into_iter().map(|row| ("effects", row)).chain(outputs).collect())
 }
@@ -257,11 +249,10 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
         scenes.push((name, without));
     }
     scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
-    let part = |(name, scene)| Ok(Part { name, timed: Timed::new(scene, &options.adapter)?, pairs: Vec::new() });
-    scenes.into_iter().map(part).collect()
+    scenes.into_iter().map(|(name, scene)| Part::new(name, scene, &options.adapter)).collect()
 }
 
-fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
+fn rows(scene: &Scene, whole: &Part, parts: &[Part]) -> Vec<Row> {
     let effects = Effects::of(scene);
     let part = |name: &str| parts.iter().find(|part| part.name == name);
     let control = part(ABSENT).expect("there is a control");
@@ -293,12 +284,12 @@ fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
 }
 
 /// Columns of pairs of the whole scene and a reduced one.
-fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]) -> Row {
+fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Part, without: &[&Part]) -> Row {
     let all = pairs::added(pairs);
     let [low, added, high] = Spread::quartiles(all.clone());
     let interval = pairs::interval(all.clone());
-    let bytes: u64 = without.iter().map(|part| part.timed.bytes()).sum();
-    let others: BTreeSet<&str> = without.iter().flat_map(|part| part.timed.gpu().compiled()).collect();
+    let bytes: u64 = without.iter().map(|part| part.bytes()).sum();
+    let others: BTreeSet<&str> = without.iter().flat_map(|part| part.gpu().compiled()).collect();
     let own: Vec<&str> = whole.gpu().compiled().difference(&others).copied().collect();
     row! {
         seconds_with: pairs::median(pairs, 0), seconds_without: pairs::median(pairs, 1), seconds_added: added, seconds_added_low: low,

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::Error;
-use crate::solver::{CoupledOutcome, Outcome};
+use crate::solver::CoupledOutcome;
 use crate::state::{SolveReport, SolveStatus};
 
 /// Name of a solve with a residual between the tolerance and its rounding error.
@@ -25,16 +25,9 @@ pub struct Ended {
     pub residuals: [f64; 2],
 }
 
-impl From<&Outcome> for Ended {
-    fn from(outcome: &Outcome) -> Ended {
-        Ended { status: outcome.status, iterations: outcome.iterations, residuals: [outcome.residual, 0.0] }
-    }
-}
-
 impl From<&CoupledOutcome> for Ended {
-    fn from(outcome: &CoupledOutcome) -> Ended {
-        let [p, v] = &outcome.parts;
-        Ended { residuals: [p.residual, v.residual], ..Ended::from(p) }
+    fn from(CoupledOutcome { parts: [p, v], .. }: &CoupledOutcome) -> Ended {
+        Ended { status: p.status, iterations: p.iterations, residuals: [p.residual, v.residual] }
     }
 }
 

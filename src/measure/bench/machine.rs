@@ -5,7 +5,7 @@ use std::time::SystemTime;
 
 use serde::Serialize;
 
-use super::device::{copying, dispatches, enough};
+use super::device::copy_bandwidth;
 use super::statistics::Spread;
 use crate::Error;
 use crate::gpu::Gpu;
@@ -85,24 +85,4 @@ fn cpu() -> Option<String> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;
     let mut lines = text.lines().filter_map(|line| line.split_once(':'));
     lines.find(|(key, _)| key.trim() == "model name").map(|(_, model)| model.trim().to_owned())
-}
-
-/// Bytes of each of the two buffers: larger than the caches of CPUs, and of GPUs.
-const BYTES: [usize; 2] = [64 << 20, 256 << 20];
-/// Least duration of a submission, s, which makes its fixed cost of some 50 us negligible.
-const LONG_ENOUGH: f64 = 0.01;
-
-/// Bytes read and written per second by a kernel that copies 16 bytes a thread.
-fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
-    let report = gpu.report();
-    let bytes = match report.kind {
-        "software" => BYTES[0],
-        _ => BYTES[1].min(report.storage_binding.min(report.buffer) as usize),
-    };
-    let copy = copying(gpu, bytes / 4)?.0;
-    let run = |copies: usize| dispatches(gpu, 1, copies, |pass| pass.dispatch(&copy, bytes / 16));
-    let copies = enough(8, 1 << 12, LONG_ENOUGH, run)?;
-    let moved = (2 * bytes * copies) as f64;
-    let rates = (0..repeats.max(1)).map(|_| Ok(moved / run(copies)?));
-    Ok(Spread::of(rates.collect::<Result<_, Error>>()?))
 }

@@ -22,10 +22,10 @@ pub mod thesis;
 
 use std::fmt::Debug;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value as Json;
 
 use super::write_json;
@@ -43,12 +43,6 @@ pub use machine::{Machine, SOURCES};
 const SEED: u64 = 20;
 /// Time between two messages of progress.
 const PAUSE: Duration = Duration::from_secs(5);
-
-/// Refuses a file of an earlier run, whose rows this one cannot keep.
-fn refused(path: &Path, problem: String) -> Error {
-    let cure = "measure into another folder (--out), or leave --resume out to measure all anew";
-    Error::input(path.display().to_string(), problem, cure)
-}
 
 /// Options of every bench.
 #[derive(Clone, Debug)]
@@ -113,8 +107,7 @@ impl Results {
         rows(&self.tables, name)
     }
 
-    /// # Errors
-    /// [`Error::Check`] with all failed checks.
+    /// An error with all failed checks.
     pub fn verdict(&self) -> Result<(), Error> {
         if self.failures.is_empty() { Ok(()) } else { Err(Error::Check(self.failures.join("\n  "))) }
     }
@@ -142,12 +135,14 @@ fn replace(tables: &mut [Table], name: &str, rows: Vec<Row>) {
     }
 }
 
-/// Tables by the end of their name; the first has the key `rows`.
+/// Key of a table in JSON: the end of its name; `rows` for the first.
+fn json_key(at: usize, table: &Table) -> &'static str {
+    let end = table.name.split_once('_').map_or(table.name, |(_, end)| end);
+    if at == 0 { "rows" } else { end }
+}
+
 fn by_key<S: Serializer>(tables: &[Table], to: S) -> Result<S::Ok, S::Error> {
-    to.collect_map(tables.iter().enumerate().map(|(at, table)| {
-        let key = table.name.split_once('_').map_or(table.name, |(_, key)| key);
-        (if at == 0 { "rows" } else { key }, table)
-    }))
+    to.collect_map(tables.iter().enumerate().map(|(at, table)| (json_key(at, table), table)))
 }
 
 /// Rows, each with the name of its table.
@@ -186,10 +181,7 @@ pub(crate) struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// Locks the folder, reads the rows to keep or removes files of an earlier run, and writes the JSON file. `request`: options that determine the
-    /// rows.
-    ///
-    /// # Errors
-    /// [`Error::Output`] if the folder cannot be written, [`Error::Input`] if another process writes into it or an earlier run had another request.
+    /// rows; those of an earlier run must have been the same.
     pub(crate) fn start(
         bench: Bench,
         machine: Machine,
@@ -222,17 +214,21 @@ impl<'a> Run<'a> {
     fn resume(&mut self) -> Result<(), Error> {
         let path = self.file(self.bench.name, "json");
         let Ok(text) = fs::read_to_string(&path) else { return Ok(()) };
-        let unreadable = |problem| refused(&path, format!("cannot be read: {problem}"));
+        let refused = |problem: String| {
+            let cure = "measure into another folder (--out), or leave --resume out to measure all anew";
+            Error::input(path.display().to_string(), problem, cure)
+        };
+        let unreadable = |problem| refused(format!("cannot be read: {problem}"));
         let then: Json = serde_json::from_str(&text).map_err(unreadable)?;
         let now = serde_json::to_value(&self.results).map_err(|problem| Error::output(&path, problem))?;
         for key in ["cutwater", "sources", "adapter", "driver", "cpu", "threads", "request"] {
             if then[key] != now[key] {
-                return Err(refused(&path, format!("it has {key} {}, this run {}", then[key], now[key])));
+                return Err(refused(format!("it has {key} {}, this run {}", then[key], now[key])));
             }
         }
         self.results.parts = then["parts"].as_array().cloned().unwrap_or_default();
-        for table in &mut self.results.tables {
-            table.read_csv(&self.settings.out.join(format!("{}.csv", table.name)))?;
+        for (at, table) in self.results.tables.iter_mut().enumerate() {
+            table.rows = Vec::deserialize(&then[json_key(at, table)]).map_err(unreadable)?;
         }
         Ok(())
     }
@@ -369,24 +365,22 @@ fn traffic_counts(traffic: &Traffic) -> Row {
 table::columns! {
     /// Columns of [`growth`].
     GROWTH {
-        along + "" "`cells`: the grid is refined, the solids stay; `nodes`: the other way round; `both`: refined together, cells count";
-        fixed + "" "fixed size: nodes, or the grid";
-        rows - "" "rows of the fit";
-        from + "" "least size";
-        to + "" "largest size";
-        exponent + "" "e of seconds ~ size^e through the medians";
-        exponent_last - "" "of the two largest sizes";
-        exponent_low + "" "least fit through values within the spreads; empty for rows of one run";
-        exponent_high + "" "largest";
+        + along "" "`cells`: the grid is refined, the solids stay; `nodes`: the other way round; `both`: refined together, cells count";
+        + fixed "" "fixed size: nodes, or the grid";
+        - rows "" "rows of the fit";
+        + from, to "" "least and largest size";
+        + exponent "" "e of seconds ~ size^e through the medians";
+        - exponent_last "" "of the two largest sizes";
+        + exponent_low, exponent_high "" "least and largest fit through values within the spreads; empty for rows of one run";
     }
     /// Traffic between host and device, per solve or sub-step.
     TRAFFIC {
-        waits + "" "times that the host waits for the device";
-        submissions - "" "command buffers";
-        dispatches + "" "kernels";
-        bytes_up - "B" "bytes that the host writes to buffers";
-        bytes_down - "B" "bytes that the host reads back";
-        idle_seconds - "s" "seconds without work in the device's queue, median";
-        device_bytes - "B" "bytes of all buffers";
+        + waits "" "times that the host waits for the device";
+        - submissions "" "command buffers";
+        + dispatches "" "kernels";
+        - bytes_up "B" "bytes that the host writes to buffers";
+        - bytes_down "B" "bytes that the host reads back";
+        - idle_seconds "s" "seconds without work in the device's queue, median";
+        - device_bytes "B" "bytes of all buffers";
     }
 }

@@ -3,7 +3,6 @@
 //! The writers of a run write frames, each output alone, in a shuffled order. The read-back of the state, which precedes all of them, has its own row,
 //! `read_back`. An inactive output costs nothing: it has no writer.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -24,14 +23,13 @@ use super::table::{Row, columns, row};
 
 columns! {
     OUTPUT {
-        scene = "" "name of the scene";
-        output + "" "key of `[output]`, or another product of a frame";
-        present + "" "whether the scene has it";
-        seconds + "s" "seconds of a frame, median";
-        seconds_low - "s" "first quartile";
-        seconds_high - "s" "third";
-        bytes + "B" "bytes of its files of a frame, mean; without lists of frames (`.pvd`)";
-        frames - "" "frames";
+        + scene "" "name of the scene";
+        + output "" "key of `[output]`, or another product of a frame";
+        + present "" "whether the scene has it";
+        + seconds "s" "seconds of a frame, median";
+        - seconds_low, seconds_high "s" "first and third quartile";
+        + bytes "B" "bytes of its files of a frame, mean; without lists of frames (`.pvd`)";
+        - frames "" "frames";
     }
 }
 
@@ -48,40 +46,24 @@ struct Output<'a> {
     /// Writer of the frame that it draws, not timed: a run writes the frame anyway.
     drawn: Option<FrameWriter>,
     make: Make<'a>,
+    /// Seconds of each frame.
+    seconds: Vec<f64>,
+    /// Bytes of all of them.
+    bytes: u64,
 }
 
-/// Folder for timed frames, below that of the results; removed on drop.
-#[derive(Debug)]
-pub struct Scratch {
-    folder: PathBuf,
-}
-
-impl Scratch {
-    /// Creates it below `out`, and removes the frames of a killed bench.
-    pub fn new(out: &Path) -> Result<Scratch, Error> {
-        let folder = out.join(".bench_effects");
-        let failed = |problem: io::Error| Error::unwritten(&folder, &problem);
-        match fs::remove_dir_all(&folder) {
-            Err(problem) if problem.kind() != ErrorKind::NotFound => return Err(failed(problem)),
-            _ => fs::create_dir_all(&folder).map_err(failed)?,
-        }
-        Ok(Scratch { folder })
+/// Creates a folder for timed frames below that of the results, without the frames of a killed bench.
+pub fn scratch(out: &Path) -> Result<PathBuf, Error> {
+    let folder = out.join(".bench_effects");
+    let failed = |problem: io::Error| Error::unwritten(&folder, &problem);
+    match fs::remove_dir_all(&folder) {
+        Err(problem) if problem.kind() != ErrorKind::NotFound => return Err(failed(problem)),
+        _ => fs::create_dir_all(&folder).map_err(failed)?,
     }
-
-    /// Folder of the frames; `report` ignores folders of this name.
-    pub fn frames(&self) -> PathBuf {
-        self.folder.join("frames")
-    }
+    Ok(folder)
 }
 
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // After a failure the next bench tries again and reports it.
-        let _ = fs::remove_dir_all(&self.folder);
-    }
-}
-
-/// Measures all outputs that the scene can have, for several of its states. The first state is a warm-up. `folder` is empty before and after.
+/// Measures all outputs that the scene can have, for several of its states. The first state is a warm-up. `folder` is absent before and after.
 pub fn measure(
     scene: &Scene,
     simulation: &mut Simulation,
@@ -93,13 +75,12 @@ pub fn measure(
     // The preview needs a first frame. It is the warm-up state: the picture of a timed one would exist already.
     simulation.reset(&states[0])?;
     let mut outputs = outputs(scene, simulation, &surfaces, folder)?;
-    let order: Vec<(&'static str, bool)> = outputs.iter().map(|it| (it.name, it.present)).collect();
-    let mut seconds: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
-    let mut bytes: BTreeMap<&'static str, u64> = BTreeMap::new();
+    let mut order: Vec<usize> = (0..outputs.len()).collect();
     for (sample, state) in states.iter().enumerate() {
         simulation.reset(state)?;
-        random.shuffle(&mut outputs);
-        for Output { name, drawn, make, .. } in &mut outputs {
+        random.shuffle(&mut order);
+        for &number in &order {
+            let Output { name, drawn, make, seconds, bytes, .. } = &mut outputs[number];
             let run = folder.join(*name);
             if let Some(writer) = drawn {
                 write_all(writer, &surfaces, simulation, state)?;
@@ -110,24 +91,22 @@ pub fn measure(
             make(simulation, state)?;
             let elapsed = clock.elapsed().as_secs_f64();
             if sample > 0 {
-                seconds.entry(name).or_default().push(elapsed);
-                *bytes.entry(name).or_default() += bytes_in(&run)?.saturating_sub(before);
+                seconds.push(elapsed);
+                *bytes += bytes_in(&run)?.saturating_sub(before);
             }
         }
     }
-    for run in order.iter().map(|(name, _)| folder.join(name)).filter(|run| run.is_dir()) {
-        fs::remove_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
-    }
-    let rows = order.into_iter().map(|(output, present)| {
-        let seconds = seconds.remove(output).unwrap_or_default();
+    let rows = outputs.into_iter().map(|Output { name, present, seconds, bytes, .. }| {
         let frames = seconds.len();
         let [low, median, high] = Spread::quartiles(seconds);
         row! {
-            scene: scene.name.as_str(), output: output, present: present, seconds: median, seconds_low: low, seconds_high: high,
-            bytes: bytes[output] / frames as u64, frames: frames,
+            scene: scene.name.as_str(), output: name, present: present, seconds: median, seconds_low: low, seconds_high: high,
+            bytes: bytes / frames as u64, frames: frames,
         }
     });
-    Ok(rows.collect())
+    let rows = rows.collect();
+    fs::remove_dir_all(folder).map_err(|problem| Error::unwritten(folder, &problem))?;
+    Ok(rows)
 }
 
 /// Every output that the scene can have.
@@ -140,7 +119,9 @@ fn outputs<'a>(
     let kinds = FrameKinds::of(scene);
     let writer = |name: &str, kinds| FrameWriter::create(&folder.join(name), &scene.name, scene.grid(), kinds);
     let mut outputs: Vec<Output> = Vec::new();
-    let mut add = |name, present, drawn, make| outputs.push(Output { name, present, drawn, make });
+    let mut add = |name, present, drawn, make| {
+        outputs.push(Output { name, present, drawn, make, seconds: Vec::new(), bytes: 0 });
+    };
     add("read_back", true, None, Box::new(|simulation, _| simulation.state().map(drop)));
     for (name, present, kinds) in frame_kinds(scene, &kinds) {
         let mut writer = writer(name, kinds)?;

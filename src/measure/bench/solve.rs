@@ -26,7 +26,7 @@ use crate::measure::base_scene::{DeviceScene, block_fields};
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
 use crate::scene::{self, Solver, names};
-use crate::solver::PressureSolver;
+use crate::solver::{CoupledOutcome, Outcome as SolveOutcome, PressureSolver};
 use crate::stages::{Everywhere, PressureSystem};
 use crate::state::SolveStatus;
 use crate::step::Stage;
@@ -72,60 +72,64 @@ pub struct Options {
 columns! {
     /// Identity of a system and its solver.
     SYSTEM {
-        scene = "" "`base_block`, or `base_scene` with solids";
-        grid + "" "cells along an edge";
-        active_cells + "" "unknowns of the pressure";
-        solid_nodes + "" "nodes of the solids";
-        bricks - "" "bricks across the beam; empty for the beam of the grid";
-        formulation + "" "`pressure`, `two-field` or `condensed`";
-        preconditioner + "" "`multigrid`, `jacobi` or `block_jacobi`";
-        precision + "" "`f32`, `mixed` or `f64`";
-        tolerance + "" "relative, of the true residual";
+        + scene "" "`base_block`, or `base_scene` with solids";
+        + grid "" "cells along an edge";
+        + active_cells "" "unknowns of the pressure";
+        + solid_nodes "" "nodes of the solids";
+        - bricks "" "bricks across the beam; empty for the beam of the grid";
+        + formulation "" "`pressure`, `two-field` or `condensed`";
+        + preconditioner "" "`multigrid`, `jacobi` or `block_jacobi`";
+        + precision "" "`f32`, `mixed` or `f64`";
+        + tolerance "" "relative, of the true residual";
     }
     /// A solve on the device.
     SOLVE {
-        status + "" "`converged`, `converged_to_rounding` or why not";
-        iterations + "" "over all refinement steps";
-        rounds - "" "refinement steps";
-        runs - "" "timed runs";
-        seconds ~ "s" "seconds of a solve";
-        residual_p + "" "true relative residual of the pressure";
-        residual_v + "" "the same of the solids' velocity; 0 without solids";
-        cells_per_second - "1/s" "active cells over the median seconds";
-        bytes - "B" "least memory traffic";
-        share_of_copy_bandwidth - "" "`bytes` per second over the copy bandwidth";
+        + status "" "`converged`, `converged_to_rounding` or why not";
+        + iterations "" "over all refinement steps";
+        - rounds "" "refinement steps";
+        - runs "" "timed runs";
+        ~ seconds "s" "seconds of a solve";
+        + residual_p, residual_v "" "true relative residuals of the pressure and of the solids' velocity; 0 without solids";
+        - cells_per_second "1/s" "active cells over the median seconds";
+        - bytes "B" "least memory traffic";
+        - share_of_copy_bandwidth "" "`bytes` per second over the copy bandwidth";
     }
     /// The same system on the CPU.
     AGAINST {
-        device_seconds ~ "s" "seconds on the device";
-        rival + "" "`ic0_cg`, `cholesky` or `multigrid_cg`";
-        threads - "" "threads that it may use";
-        rows - "" "unknowns: of thesis (5.25) with solids; of multigrid the pressures";
-        entries - "" "entries of the matrix";
-        factor_bytes - "B" "bytes of the factor";
-        status - "" "as in solve.csv";
-        iterations - "" "of conjugate gradients; empty for a factor";
-        turns - "" "timed runs";
-        seconds ~ "s" "from the assembled B, S and J to the residual check: matrix, factor or hierarchy included";
-        residual_p - "" "true relative residual of the pressure";
-        residual_v - "" "the same of the velocities";
-        ratio ~ "" "its seconds over the device's of the same round";
-        note + "" "why there is no ratio";
+        ~ device_seconds "s" "seconds on the device";
+        + rival "" "`ic0_cg`, `cholesky` or `multigrid_cg`";
+        - threads "" "threads that it may use";
+        - rows "" "unknowns: of thesis (5.25) with solids; of multigrid the pressures";
+        - entries "" "entries of the matrix";
+        - factor_bytes "B" "bytes of the factor";
+        - status "" "as in solve.csv";
+        - iterations "" "of conjugate gradients; empty for a factor";
+        - turns "" "timed runs";
+        ~ seconds "s" "from the assembled B, S and J to the residual check: matrix, factor or hierarchy included";
+        - residual_p, residual_v "" "as in solve.csv";
+        ~ ratio "" "its seconds over the device's of the same round";
+        + note "" "why there is no ratio";
     }
     /// A series of solves.
     SERIES {
-        formulation + "" "as in solve.csv";
-        solver + "" "preconditioner, or the reference solver";
-        precision + "" "`f64` of reference solvers";
+        + formulation "" "as in solve.csv";
+        + solver "" "preconditioner, or the reference solver";
+        + precision "" "`f64` of reference solvers";
     }
-    ITERATIONS { iterations - "" "exponent of the iterations; empty for direct solvers"; }
+    ITERATIONS { - iterations "" "exponent of the iterations; empty for direct solvers"; }
 }
 
-fn bench() -> Bench {
+/// Measures all systems: solve.csv, solve_against.csv, solve_growth.csv, solve.json, solve.svg.
+///
+/// # Errors
+/// Before any work [`Error::Limit`] and [`Error::Memory`] for a grid that is too large; [`Error::Check`] if a solve is not reproducible.
+pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
+    let capacity = Capacity::new(gpu.report());
+    options.grids.iter().try_for_each(|&grid| capacity.check(grid, &options.solvers))?;
     let against = &["grid", "bricks", "formulation", "preconditioner", "precision", "tolerance", "rival"];
     // Several reference solvers have the key of one solve.
     let key = &against[..against.len() - 1];
-    Bench {
+    let bench = Bench {
         name: "solve",
         tables: vec![
             Table::new("solve", &[SYSTEM, SOLVE, TRAFFIC], key),
@@ -134,21 +138,11 @@ fn bench() -> Bench {
         ],
         derive,
         pictures: &[("solve", draw)],
-    }
-}
-
-/// Measures all systems: solve.csv, solve_against.csv, solve_growth.csv, solve.json, solve.svg.
-///
-/// # Errors
-/// Before any work [`Error::Limit`] and [`Error::Memory`] for a grid that is too large; [`Error::Output`]; [`Error::Check`] if a solve is not
-/// reproducible.
-pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
-    let capacity = Capacity::new(gpu.report());
-    options.grids.iter().try_for_each(|&grid| capacity.check(grid, &options.solvers))?;
+    };
     let machine = Machine::new(gpu, settings.repeats)?;
     let request =
         (&options.against, options.largest_factor, options.solvers.first().map(|solver| solver.max_iterations));
-    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    let mut run = Run::start(bench, machine, &request, settings, listener)?;
     let mut cases = Vec::new();
     for &grid in &options.grids {
         for &formulation in &options.formulations {
@@ -187,15 +181,6 @@ pub(super) fn bricks_across(grid: usize) -> usize {
     }
 }
 
-/// Result of a solve on the device.
-struct Solved {
-    ended: Ended,
-    /// Refinement steps.
-    refinements: u32,
-    /// Whether the corrections were those of the Schur complement.
-    condensed: bool,
-}
-
 /// A system on the device.
 struct Device<'a> {
     buffers: &'a SolverBuffers,
@@ -204,16 +189,15 @@ struct Device<'a> {
     /// Restores the right-hand sides, which a solve replaces.
     prepare: &'a dyn Fn(),
     /// Sets the system up and solves it.
-    solve: &'a dyn Fn() -> Result<Solved, Error>,
+    solve: &'a dyn Fn() -> Result<CoupledOutcome, Error>,
 }
 
 /// A reference solver of a system.
 struct Reference {
     solver: ReferenceSolver,
     settings: Solver,
-    rows: usize,
-    entries: Option<usize>,
-    factor_bytes: Option<f64>,
+    /// Columns of the solver, its matrix and its factor.
+    size: Row,
     /// Reason for not solving; empty without one.
     note: String,
 }
@@ -232,13 +216,16 @@ impl Reference {
         }
         let too_large = factor_bytes.filter(|bytes| *bytes > largest);
         let note = too_large.map_or(String::new(), |bytes| format!("factor of {:.1} GiB left out", bytes / GIB));
+        let size = row! {
+            rival: solver.name(), threads: rayon::current_num_threads(), rows: rows, entries: entries, factor_bytes: factor_bytes,
+        };
         // The device's limit of iterations does not apply.
         let settings = Solver { max_iterations: (10 * rows) as u32, ..*settings };
-        Ok(Reference { solver, settings, rows, entries, factor_bytes, note })
+        Ok(Reference { solver, settings, size, note })
     }
 
     /// Columns of `solve_against`. `status`: that of the device.
-    fn row<T>(&self, timed: Option<&Outcome>, device: &Timed<T>, status: &str) -> Row {
+    fn row(&self, timed: Option<&Outcome>, device: &Outcome, status: &str) -> Row {
         let ended = timed.and_then(|timed| timed.outcome.0);
         let name = ended.map(|ended| ended.name(self.settings.tolerance));
         let converged = SolveStatus::Converged.name();
@@ -251,14 +238,13 @@ impl Reference {
         };
         let timed = timed.filter(|_| ended.is_some());
         let iterative = ended.filter(|_| self.solver != ReferenceSolver::Cholesky);
-        row! {
-            device_seconds: device.spread(), rival: self.solver.name(), threads: rayon::current_num_threads(), rows: self.rows,
-            entries: self.entries, factor_bytes: self.factor_bytes, status: name,
-            iterations: iterative.map(|ended| ended.iterations), turns: timed.map_or(0, |timed| timed.runs()),
-            seconds: timed.map(|timed| timed.spread()), residual_p: ended.map(|ended| ended.residuals[0]),
-            residual_v: ended.map(|ended| ended.residuals[1]),
-            ratio: timed.filter(|_| note.is_empty()).map(|timed| timed.ratio(device)), note: note.as_str(),
-        }
+        let row = row! {
+            device_seconds: device.spread(), status: name, iterations: iterative.map(|ended| ended.iterations),
+            turns: timed.map_or(0, |timed| timed.runs()), seconds: timed.map(|timed| timed.spread()),
+            residual_p: ended.map(|ended| ended.residuals[0]), residual_v: ended.map(|ended| ended.residuals[1]),
+            ratio: timed.filter(|_| note.is_empty()).map(|timed| timed.ratio(device)), note: note,
+        };
+        row.with(self.size.clone())
     }
 }
 
@@ -289,13 +275,8 @@ impl Measurement<'_> {
         let scene = BaseScene::new(grid, &beam)?;
         let system = scene.coupled_system();
         let device = DeviceScene::new(self.gpu, &scene, &system, &self.solver)?;
-        let solve = || {
-            let outcome = device.solve()?;
-            let refinements = outcome.parts[0].refinements;
-            Ok(Solved { ended: Ended::from(&outcome), refinements, condensed: outcome.condensed })
-        };
         let (buffers, degree) = (&device.liquid, device.polynomial.degree);
-        let device = Device { buffers, degree, prepare: &|| device.reset(), solve: &solve };
+        let device = Device { buffers, degree, prepare: &|| device.reset(), solve: &|| device.solve() };
         self.rows(run, Assembled::Both(&system, &scene.solids), &device, allocated)
     }
 
@@ -314,8 +295,9 @@ impl Measurement<'_> {
         let solve = || {
             let mut recorder = Recorder::new(gpu);
             recorder.stage(Stage::ActiveCells.name(), |pass| system.record(pass, &buffers, within));
-            let (outcome, _) = solver.solve(gpu, recorder, &buffers)?;
-            Ok(Solved { ended: Ended::from(&outcome), refinements: outcome.refinements, condensed: false })
+            let (liquid, _) = solver.solve(gpu, recorder, &buffers)?;
+            let no_solids = SolveOutcome { residual: 0.0, ..liquid };
+            Ok(CoupledOutcome { parts: [liquid, no_solids], condensed: false })
         };
         let device = Device { buffers: &buffers, degree: 0, prepare: &|| {}, solve: &solve };
         self.rows(run, Assembled::Pressure(&assembled), &device, allocated)
@@ -332,6 +314,7 @@ impl Measurement<'_> {
         // The first compiles.
         (device.prepare)();
         let solved = (device.solve)()?;
+        let ended = Ended::from(&solved);
         let mut idle = Vec::new();
         let timed = rounds(run, &format!("solves of {what}"), 1 + solving.len(), |job| {
             (device.prepare)();
@@ -341,21 +324,23 @@ impl Measurement<'_> {
                 let ended = system.solve(reference.solver, &reference.settings)?.map(|reports| Ended::new(&reports));
                 return Ok((clock.elapsed().as_secs_f64(), (ended, Traffic::default())));
             }
-            let again = (device.solve)()?;
+            let again = Ended::from(&(device.solve)()?);
             let seconds = clock.elapsed().as_secs_f64();
-            solved.ended.ensure_repeated(again.ended, &what)?;
+            ended.ensure_repeated(again, &what)?;
             let traffic = gpu.traffic().since(before);
             idle.push(traffic.idle_seconds);
-            Ok((seconds, (Some(again.ended), traffic)))
+            Ok((seconds, (Some(again), traffic)))
         })?;
-        let [active_cells, nodes] = system.sizes();
+        let ([active_cells, nodes], seconds) = (system.sizes(), timed[0].spread());
         let key = key.clone().with(row! { active_cells: active_cells, solid_nodes: nodes });
-        let status = solved.ended.name(solver.tolerance);
+        let (status, bytes) = (ended.name(solver.tolerance), self.least_bytes(system, device, &solved)?);
         let own = row! {
-            status: status, idle_seconds: Spread::of(idle).median, device_bytes: allocated_bytes(gpu) - allocated,
+            status: status, iterations: ended.iterations, rounds: solved.parts[0].refinements, runs: timed[0].runs(), seconds: seconds,
+            residual_p: ended.residuals[0], residual_v: ended.residuals[1], cells_per_second: active_cells as f64 / seconds.median,
+            bytes: bytes, share_of_copy_bandwidth: run.results.machine.share(bytes, seconds.median),
+            idle_seconds: Spread::of(idle).median, device_bytes: allocated_bytes(gpu) - allocated,
         };
-        let solves = self.device_row(&run.results.machine, system, device, &solved, &timed[0])?;
-        let mut rows = vec![("solve", key.clone().with(own).with(solves))];
+        let mut rows = vec![("solve", key.clone().with(own).with(traffic_counts(&timed[0].outcome.1)))];
         let mut others = timed[1..].iter();
         for reference in &references {
             let own = reference.note.is_empty().then(|| others.next()).flatten();
@@ -364,22 +349,14 @@ impl Measurement<'_> {
         Ok(rows)
     }
 
-    /// Columns of the solves on the device.
-    fn device_row(
-        &self,
-        machine: &Machine,
-        system: Assembled,
-        device: &Device,
-        solved: &Solved,
-        timed: &Outcome,
-    ) -> Result<Row, Error> {
-        let (buffers, unknowns) = (device.buffers, system.sizes()[0] as f64);
-        let Ended { iterations, residuals, .. } = solved.ended;
+    /// Least memory traffic of a solve.
+    fn least_bytes(&self, system: Assembled, device: &Device, solved: &CoupledOutcome) -> Result<f64, Error> {
+        let (buffers, outcome) = (device.buffers, &solved.parts[0]);
         let pressure = SolveBytes {
-            unknowns,
+            unknowns: system.sizes()[0] as f64,
             not_uniform: not_uniform(self.gpu, buffers)?,
-            iterations: f64::from(iterations),
-            refinements: f64::from(solved.refinements),
+            iterations: f64::from(outcome.iterations),
+            refinements: f64::from(outcome.refinements),
             widths: [buffers.variant.inner, buffers.variant.real].map(|real| real.bytes() as f64),
             preconditioner: self.solver.preconditioner,
         };
@@ -390,14 +367,7 @@ impl Measurement<'_> {
                 Some(SolidBytes::new(solids, pressure.widths, device.degree, solved.condensed.then(wet_nodes)))
             }
         };
-        let bytes = pressure.total(coupled);
-        let (seconds, (_, traffic)) = (timed.spread(), &timed.outcome);
-        Ok(row! {
-            iterations: iterations, rounds: solved.refinements, runs: timed.runs(), seconds: seconds, residual_p: residuals[0],
-            residual_v: residuals[1], cells_per_second: unknowns / seconds.median, bytes: bytes,
-            share_of_copy_bandwidth: machine.share(bytes, seconds.median),
-        }
-        .with(traffic_counts(traffic)))
+        Ok(pressure.total(coupled))
     }
 }
 
@@ -412,9 +382,8 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
 
 /// Growth of each solver along cells, nodes or both.
 pub fn derive(tables: &mut [Table]) {
-    let sizes = ["grid", "bricks", "active_cells", "solid_nodes", "formulation", "seconds", "iterations"];
     let sample = |row: &Row, solver: &str, precision: &str, runs: &str| {
-        row.only(&sizes).with(row! { solver: row.get(solver), precision: precision, runs: row.get(runs) })
+        row.clone().with(row! { solver: row.get(solver), precision: precision, runs: row.get(runs) })
     };
     let converged = |row: &&Row| row.text("status") == SolveStatus::Converged.name();
     let device = rows(tables, "solve").iter().filter(converged);

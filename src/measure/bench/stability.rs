@@ -69,10 +69,7 @@ impl Options {
         self.cases.is_empty() || self.cases.iter().any(|part| name.contains(part))
     }
 
-    /// Refuses parts that no name contains.
-    ///
-    /// # Errors
-    /// [`Error::Input`] with similar names.
+    /// Refuses parts that no name contains; the error has similar names.
     pub fn check(&self, names: &[String]) -> Result<(), Error> {
         let known = |part: &str| !part.is_empty() && names.iter().any(|name| name.contains(part));
         let Some(part) = self.cases.iter().find(|part| !known(part)) else { return Ok(()) };
@@ -94,50 +91,46 @@ impl Options {
 
 columns! {
     STABILITY {
-        passed + "" "whether the expected behaviour was found";
-        name = "" "name of the case";
-        group - "" "cases that vary the same";
-        varies - "" "what is hostile about it";
-        backend - "" "`gpu` or `cpu`";
-        cells - "" "cells of the domain";
-        nodes - "" "nodes of the solids";
-        steps - "" "sub-steps asked for";
-        sub_steps + "" "sub-steps done";
-        expected - "" "`completes`, `fails`, `is pushed away` or `stays stiff`";
-        status + "" "`completed`, or the first failure and its sub-step";
-        energy_ratio + "" "largest energy over that of the start";
-        energy_bound - "" "its bound";
-        energy_end - "" "energy at the end over that of the start";
-        elastic_ratio - "" "largest elastic energy over all energy of the start";
-        motion + "J" "largest kinetic and elastic energy";
-        motion_bound - "J" "energy of the start and what gravity can release";
-        solid_speed + "m/s" "largest component of a node's velocity";
-        solid_speed_bound - "m/s" "its bound";
-        liquid_speed + "m/s" "largest velocity of a face";
-        liquid_speed_bound - "m/s" "its bound";
-        non_finite - "" "values that are not finite";
-        volume_least - "" "least volume of the liquid over that of the start";
-        volume_most - "" "largest";
-        volume_drift - "" "volume at the end over that of the start, less 1";
-        lost - "" "largest volume missing for 25 sub-steps over that of the start";
-        min_det + "" "least det F";
-        inverted - "" "elements with det F <= 0 at the end";
-        missed + "" "sub-steps with a solve that did not converge";
-        unsettled - "" "sub-steps with unsettled contacts";
-        overlap - "cells" "largest overlap of solids with each other or with obstacles";
-        most_iterations - "" "of a solve; empty for direct solves";
-        deflection - "" "displacement of the end of the thesis's beam over its length, largest";
-        lift - "" "its rise against gravity, largest";
-        growth - "" "largest mean growth of the beam's speed per sub-step over four of them";
-        seconds + "s" "wall clock, on the f64 path with other cases beside this one";
+        + passed "" "whether the expected behaviour was found";
+        + name "" "name of the case";
+        - group "" "cases that vary the same";
+        - varies "" "what is hostile about it";
+        - backend "" "`gpu` or `cpu`";
+        - cells "" "cells of the domain";
+        - nodes "" "nodes of the solids";
+        - steps "" "sub-steps asked for";
+        + sub_steps "" "sub-steps done";
+        - expected "" "`completes`, `fails`, `is pushed away` or `stays stiff`";
+        + status "" "`completed`, or the first failure and its sub-step";
+        + energy_ratio "" "largest energy over that of the start";
+        - energy_bound "" "its bound";
+        - energy_end "" "energy at the end over that of the start";
+        - elastic_ratio "" "largest elastic energy over all energy of the start";
+        + motion "J" "largest kinetic and elastic energy";
+        - motion_bound "J" "energy of the start and what gravity can release";
+        + solid_speed "m/s" "largest component of a node's velocity";
+        - solid_speed_bound "m/s" "its bound";
+        + liquid_speed "m/s" "largest velocity of a face";
+        - liquid_speed_bound "m/s" "its bound";
+        - non_finite "" "values that are not finite";
+        - volume_least, volume_most "" "least and largest volume of the liquid over that of the start";
+        - volume_drift "" "volume at the end over that of the start, less 1";
+        - lost "" "largest volume missing for 25 sub-steps over that of the start";
+        + min_det "" "least det F";
+        - inverted "" "elements with det F <= 0 at the end";
+        + missed "" "sub-steps with a solve that did not converge";
+        - unsettled "" "sub-steps with unsettled contacts";
+        - overlap "cells" "largest overlap of solids with each other or with obstacles";
+        - most_iterations "" "of a solve; empty for direct solves";
+        - deflection "" "displacement of the end of the thesis's beam over its length, largest";
+        - lift "" "its rise against gravity, largest";
+        - growth "" "largest mean growth of the beam's speed per sub-step over four of them";
+        + seconds "s" "wall clock, on the f64 path with other cases beside this one";
     }
 }
 
 /// Runs all selected cases: stability.csv, stability_limit.csv, stability.json, stability.svg, and scenes/NAME.toml for `cutwater run`. Failed
 /// cases are rows like others and failures of the results.
-///
-/// # Errors
-/// [`Error::Input`] for a part that no name contains; [`Error::Adapter`]; [`Error::Output`].
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let mut cases = cases(options.steps, options.scale)?;
     let limits = limits();
@@ -295,15 +288,11 @@ fn non_finite(state: &State, report: &StepReport) -> usize {
 }
 
 impl Case {
-    /// Runs the case; a failure is the status of the row.
-    ///
-    /// # Errors
-    /// [`Error::Adapter`].
+    /// Runs the case. A failure is the status of the row, but without an adapter no case can run.
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         let clock = Instant::now();
         let mut row = self.row(backend);
         match self.scene().and_then(|scene| simulate(&scene, backend, &mut row)) {
-            // No case can run then.
             Err(error @ Error::Adapter { .. }) => return Err(error),
             Err(error) if row.count("sub_steps") == 0 => fail(&mut row, format!("does not start: {error}")),
             Err(error) => fail(&mut row, error.to_string()),

@@ -37,47 +37,51 @@ pub struct Options {
 columns! {
     /// Identity of the sub-steps of a kind.
     KIND {
-        scene = "" "name of the scene";
-        scale + "" "factor of its cells";
-        solids_scale - "" "refinement of its solids' meshes";
-        kind + "" "`touching`: liquid and solids touch; `apart`: the others";
+        + scene "" "name of the scene";
+        + scale "" "factor of its cells";
+        - solids_scale "" "refinement of its solids' meshes";
+        + kind "" "`touching`: liquid and solids touch; `apart`: the others";
     }
     /// Sub-steps.
     STEP {
-        cells + "" "cells of the domain";
-        nodes + "" "nodes of the solids";
-        elements - "" "elements of the solids";
-        sub_steps + "" "sub-steps of a run";
-        simulated - "s" "time that they simulate";
-        markers - "" "markers after the last of them";
-        unknowns + "" "unknowns of the pressure, mean over the sub-steps";
-        band_cells - "" "cells of the narrow band, mean";
-        iterations + "" "iterations of the pressure, mean";
-        solid_unknowns - "" "unknowns of the solids, mean";
-        solid_iterations - "" "iterations of the solids, mean";
-        runs - "" "runs from the start";
-        seconds ~ "s" "mean over the sub-steps of a run; spread over the runs";
-        sub_step_seconds ~ "s" "median over the runs; spread over the sub-steps";
-        cells_per_second - "1/s" "unknowns of the pressure over `seconds_median`";
+        + cells "" "cells of the domain";
+        + nodes "" "nodes of the solids";
+        - elements "" "elements of the solids";
+        + sub_steps "" "sub-steps of a run";
+        - simulated "s" "time that they simulate";
+        - markers "" "markers after the last of them";
+        + unknowns "" "unknowns of the pressure, mean over the sub-steps";
+        - band_cells "" "cells of the narrow band, mean";
+        + iterations "" "iterations of the pressure, mean";
+        - solid_unknowns "" "unknowns of the solids, mean";
+        - solid_iterations "" "iterations of the solids, mean";
+        - runs "" "runs from the start";
+        ~ seconds "s" "mean over the sub-steps of a run; spread over the runs";
+        ~ sub_step_seconds "s" "median over the runs; spread over the sub-steps";
+        - cells_per_second "1/s" "unknowns of the pressure over `seconds_median`";
     }
     /// A stage in these sub-steps.
     STAGE {
-        stage - "" "name of the stage";
-        where - "" "where its seconds are spent: `device`, `host`, `host and device`";
-        seconds ~ "s" "as in step.csv";
-        dispatches - "" "mean";
-        waits - "" "waits after a submission that ends with this stage, mean";
+        - stage "" "name of the stage";
+        - where "" "where its seconds are spent: `device`, `host`, `host and device`";
+        ~ seconds "s" "as in step.csv";
+        - dispatches "" "mean";
+        - waits "" "waits after a submission that ends with this stage, mean";
     }
     SERIES {
-        scene = "" "name of the scene";
-        kind + "" "as in step.csv";
+        + scene "" "name of the scene";
+        + kind "" "as in step.csv";
     }
 }
 
-fn bench() -> Bench {
-    let key: &[&str] = &["scene", "scale", "solids_scale", "kind"];
+/// Measures all scenes: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg, rewritten after each run.
+///
+/// # Errors
+/// [`Error::Check`] where the runs of a scene differ.
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let stage: &[&str] = &["scene", "scale", "solids_scale", "kind", "stage"];
-    Bench {
+    let key = &stage[..stage.len() - 1];
+    let bench = Bench {
         name: "step",
         tables: vec![
             Table::new("step", &[KIND, STEP, TRAFFIC], key),
@@ -86,26 +90,16 @@ fn bench() -> Bench {
         ],
         derive,
         pictures: &[("step", draw)],
-    }
-}
-
-/// Measures all scenes: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg, rewritten after each run.
-///
-/// # Errors
-/// [`Error::Output`]; [`Error::Check`] where the runs of a scene differ; errors of the simulations.
-pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
-    if options.scenes.is_empty() {
-        return Err(Error::input("bench step", "no scene to measure", "give one scene file or more"));
-    }
+    };
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
     let request = (hashes(options.scenes.iter().map(|case| &case.scene)), options.frames);
-    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    let mut run = Run::start(bench, machine, &request, settings, listener)?;
     // Scenes without all their runs are measured again.
     let repeats = settings.repeats.max(1);
     let table = &mut run.results.tables[0];
     table.rows.retain(|row| row.count("runs") == repeats);
     let new = options.scenes.iter().filter(|case| !table.has(&case.key()));
-    let record = |case| Record { case, sizes: Row::default(), timestamps: false, repeats: Vec::new() };
+    let record = |case| Record { case, sizes: Row::default(), timestamps: false, runs: Vec::new() };
     let mut records: Vec<Record> = new.map(record).collect();
     let (clock, n) = (Instant::now(), records.len());
     for round in 0..repeats {
@@ -129,17 +123,22 @@ struct Record<'a> {
     /// Whether the device has timestamps.
     timestamps: bool,
     /// Sub-steps of each run, without the first of each kind.
-    repeats: Vec<Vec<Sample>>,
+    runs: Vec<Vec<Sample>>,
 }
 
 /// One sub-step.
 struct Sample {
     seconds: f64,
     report: StepReport,
-    idle_seconds: f64,
     /// Numbers that `step.csv` has as means.
     numbers: Row,
     trace: Trace,
+}
+
+impl Sample {
+    fn kind(&self) -> &'static str {
+        if self.report.touching() { "touching" } else { "apart" }
+    }
 }
 
 fn path_of(simulation: &Simulation) -> &GpuPath {
@@ -149,7 +148,7 @@ fn path_of(simulation: &Simulation) -> &GpuPath {
 impl Record<'_> {
     /// Seconds of all runs.
     fn seconds(&self) -> f64 {
-        self.repeats.iter().flatten().map(|sample| sample.seconds).sum()
+        self.runs.iter().flatten().map(|sample| sample.seconds).sum()
     }
 
     /// Another run from the scene's start. Its simulation is dropped at the end: all scenes together may exceed the memory.
@@ -158,9 +157,10 @@ impl Record<'_> {
         let (gpu, solids) = (path_of(&simulation).gpu(), simulation.solids());
         self.timestamps = gpu.report().timestamps;
         self.sizes = row! {
-            nodes: solids.rest.len(), elements: solids.elements.len(), device_bytes: allocated_bytes(gpu),
+            cells: self.case.scene.grid().n_cells(), nodes: solids.rest.len(), elements: solids.elements.len(),
+            device_bytes: allocated_bytes(gpu),
         };
-        let (mut samples, mut kinds) = (Vec::new(), [false; 2]);
+        let mut samples: Vec<Sample> = Vec::new();
         while simulation.clock().frame < options.frames {
             let gpu = path_of(&simulation).gpu();
             gpu.start_trace();
@@ -169,95 +169,77 @@ impl Record<'_> {
             let seconds = clock.elapsed().as_secs_f64();
             let path = path_of(&simulation);
             let traffic = path.gpu().traffic().since(before);
-            let trace = path.gpu().take_trace();
             let solve = |solve: Option<SolveReport>| solve.map_or((0, 0), |solve| (solve.unknowns, solve.iterations));
             let (unknowns, iterations) = solve(report.liquid.map(|liquid| liquid.solve));
             let (solid_unknowns, solid_iterations) = solve(report.solid.map(|solid| solid.solve));
             let numbers = traffic_counts(&traffic).with(row! {
-                unknowns: unknowns, iterations: iterations, solid_unknowns: solid_unknowns, solid_iterations: solid_iterations,
-                band_cells: path.band_cells()?,
+                idle_seconds: traffic.idle_seconds, unknowns: unknowns, iterations: iterations, solid_unknowns: solid_unknowns, solid_iterations: solid_iterations, band_cells: path.band_cells()?,
             });
-            let sample = Sample { seconds, report, idle_seconds: traffic.idle_seconds, numbers, trace };
-            // The first of a kind compiles.
-            if std::mem::replace(&mut kinds[usize::from(sample.report.touching())], true) {
-                samples.push(sample);
-            }
+            samples.push(Sample { seconds, report, numbers, trace: path.gpu().take_trace() });
         }
-        self.repeats.push(samples);
-        self.ensure_repeated()?;
-        if self.repeats.iter().all(Vec::is_empty) {
+        // The first of a kind compiles.
+        for kind in ["apart", "touching"] {
+            let first = samples.iter().position(|sample| sample.kind() == kind);
+            first.map(|first| samples.remove(first));
+        }
+        if samples.is_empty() {
             return Err(Error::input(
                 format!("--frames {}", options.frames),
                 "the first sub-step of a kind is not counted, and there was no other",
                 "measure more frames",
             ));
         }
-        Ok(())
+        self.runs.push(samples);
+        self.ensure_repeated()
     }
 
     /// Refuses a run with other sub-steps than the first: rows compare them one by one.
     fn ensure_repeated(&self) -> Result<(), Error> {
-        let [first, .., again] = &self.repeats[..] else { return Ok(()) };
-        let kinds = |repeat: &[Sample]| repeat.iter().map(|sample| sample.report.touching()).collect::<Vec<_>>();
-        if kinds(first) == kinds(again) {
+        let kinds = |run: &[Sample]| run.iter().map(Sample::kind).collect::<Vec<_>>().join(" ");
+        let (first, again) = (kinds(&self.runs[0]), kinds(&self.runs[self.runs.len() - 1]));
+        if first == again {
             return Ok(());
         }
-        let [first, again] = [first, again].map(|repeat| {
-            let touching = repeat.iter().filter(|sample| sample.report.touching());
-            format!("{} sub-steps, {} touching", repeat.len(), touching.count())
-        });
         Err(Error::Check(format!(
-            "{}: the same run had {first}, then {again}\n  cure: use another adapter (--adapter) or driver: this one is not reproducible",
+            "{}: the same run had sub-steps {first}, then {again}\n  cure: use another adapter (--adapter) or driver: this one is not reproducible",
             self.case.scene.name
         )))
     }
 
-    /// Rows of each kind of sub-steps, and of its stages.
+    /// Rows of each kind of sub-steps, and of its stages. Numbers other than seconds are the same in all runs.
     fn rows(&self) -> Rows {
         let mut rows = Vec::new();
-        for (kind, touching) in [("apart", false), ("touching", true)] {
-            let of_kind = |sample: &&Sample| sample.report.touching() == touching;
-            let repeats: Vec<Vec<&Sample>> =
-                self.repeats.iter().map(|repeat| repeat.iter().filter(of_kind).collect()).collect();
-            if !repeats[0].is_empty() {
-                rows.extend(self.kind_rows(kind, &repeats));
-            }
-        }
-        rows
-    }
-
-    /// Rows of the sub-steps of a kind in each run. Numbers other than seconds are the same in all runs.
-    fn kind_rows(&self, kind: &str, repeats: &[Vec<&Sample>]) -> Rows {
-        let first = &repeats[0];
-        let mean = |value: &dyn Fn(&Sample) -> f64| mean(first, value);
-        let seconds = over_repeats(repeats, &|sample| sample.seconds);
-        let sub_step = |n: usize| Spread::of(repeats.iter().map(|repeat| repeat[n].seconds).collect()).median;
-        let kind = self.case.key().with(row! { kind: kind });
-        let means = first[0].numbers.names().map(|name| (name, mean(&|sample| sample.numbers.number(name)).into()));
-        let last = first.last().and_then(|sample| sample.report.liquid);
-        let sizes = row! {
-            cells: self.case.scene.grid().n_cells(), sub_steps: first.len(),
-            simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(), markers: last.map_or(0, |liquid| liquid.markers),
-            runs: repeats.len(), seconds: seconds, sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
-            cells_per_second: mean(&|sample| sample.numbers.number("unknowns")) / seconds.median,
-            idle_seconds: over_repeats(repeats, &|sample| sample.idle_seconds).median,
-        };
-        let mut rows = vec![("step", kind.clone().with(self.sizes.clone()).with(sizes).with(Row::new(means)))];
-        let names = first.iter().flat_map(|sample| &sample.report.seconds);
-        for (stage, _) in grouped(names, |(stage, _)| Some(*stage)) {
-            let seconds = over_repeats(repeats, &|sample| stage_seconds(&sample.report, &[stage]));
-            let place = match (stage == Stage::Clip.name(), self.timestamps) {
-                (false, _) => "device",
-                (true, true) => "host and device",
-                (true, false) => "host",
+        for kind in ["apart", "touching"] {
+            let of_kind = |sample: &&Sample| sample.kind() == kind;
+            let runs: Vec<Vec<&Sample>> = self.runs.iter().map(|run| run.iter().filter(of_kind).collect()).collect();
+            let first = &runs[0];
+            let Some(last) = first.last() else { continue };
+            let key = self.case.key().with(row! { kind: kind });
+            let sub_step = |n: usize| Spread::of(runs.iter().map(|run| run[n].seconds).collect()).median;
+            let names = last.numbers.names();
+            let means = Row::new(names.map(|name| (name, mean(first, &|sample| sample.numbers.number(name)).into())));
+            let seconds = over_runs(&runs, &|sample| sample.seconds);
+            let sizes = row! {
+                sub_steps: first.len(), simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(),
+                markers: last.report.liquid.map_or(0, |liquid| liquid.markers), runs: runs.len(), seconds: seconds,
+                sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
+                cells_per_second: means.number("unknowns") / seconds.median, idle_seconds: over_runs(&runs, &|sample| sample.numbers.number("idle_seconds")).median,
             };
-            let mut row = kind.clone().with(row! {
-                stage: stage, seconds: seconds,
-                dispatches: mean(&|sample| sample.trace.dispatches.iter().filter(|(name, _)| *name == stage).count() as f64),
-                waits: mean(&|sample| sample.trace.waits.iter().filter(|name| **name == stage).count() as f64),
-            });
-            row.set("where", place);
-            rows.push(("step_stages", row));
+            rows.push(("step", key.clone().with(self.sizes.clone()).with(means).with(sizes)));
+            let names = first.iter().flat_map(|sample| &sample.report.seconds);
+            for (stage, _) in grouped(names, |(stage, _)| Some(*stage)) {
+                let place = match (stage == Stage::Clip.name(), self.timestamps) {
+                    (false, _) => "device",
+                    (true, true) => "host and device",
+                    (true, false) => "host",
+                };
+                let row = key.clone().with(row! {
+                    stage: stage, where: place, seconds: over_runs(&runs, &|sample| stage_seconds(&sample.report, &[stage])),
+                    dispatches: mean(first, &|sample| sample.trace.dispatches.iter().filter(|(name, _)| *name == stage).count() as f64),
+                    waits: mean(first, &|sample| sample.trace.waits.iter().filter(|name| **name == stage).count() as f64),
+                });
+                rows.push(("step_stages", row));
+            }
         }
         rows
     }
@@ -269,8 +251,8 @@ fn mean(samples: &[&Sample], value: &dyn Fn(&Sample) -> f64) -> f64 {
 }
 
 /// Spread over the runs of their means.
-fn over_repeats(repeats: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spread {
-    Spread::of(repeats.iter().map(|samples| mean(samples, value)).collect())
+fn over_runs(runs: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spread {
+    Spread::of(runs.iter().map(|samples| mean(samples, value)).collect())
 }
 
 /// Growth with the grid, the solids' meshes, and both.
@@ -287,13 +269,13 @@ pub fn derive(tables: &mut [Table]) {
             Some(match along {
                 "cells" => (series, nodes, 0.0),
                 "nodes" => (series, cells, 0.0),
-                _ => (series, Value::Empty, ratio),
+                _ => (series, Value::Null, ratio),
             })
         });
         for ((series, fixed, _), members) in groups {
             let nodes = |row: &Row| row.get("nodes");
             let refined = members.iter().any(|row| nodes(row) != nodes(members[0]));
-            let fixed = Some(fixed).filter(|fixed| *fixed != Value::Count(0));
+            let fixed = Some(fixed).filter(|fixed| *fixed != 0);
             if along != "both" || refined {
                 let names = series.with(row! { along: along, fixed: fixed });
                 all.extend(growth(&members, size).map(|fit| fit.with(names)));

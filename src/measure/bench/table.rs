@@ -1,128 +1,80 @@
 //! Tables of a bench: columns are declared once, rows are named values, and one writer produces CSV, JSON and the lines of the terminal.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::Map;
 
 use super::statistics::Spread;
 use crate::Error;
 use crate::measure::{remove, write_csv};
 use crate::scene::{PatchPressure, Precision, Preconditioner};
 
-/// One value of a row.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Value {
-    /// Not measured, or absent.
-    #[default]
-    Empty,
-    /// Yes or no.
-    Flag(bool),
-    /// A whole number.
-    Count(i64),
-    /// A number; an empty cell if it is not finite.
-    Number(#[serde(serialize_with = "finite")] f64),
-    /// A name.
-    Text(String),
-    /// Three columns: `X_median`, `X_min`, `X_max`.
-    Spread(Spread),
+/// One value of a row; null where nothing was measured or a number is not finite.
+pub use serde_json::Value;
+
+/// An object; three values of a row.
+impl From<Spread> for Value {
+    fn from(Spread { median, min, max }: Spread) -> Value {
+        serde_json::json!({ "median": median, "min": min, "max": max })
+    }
 }
 
-macro_rules! values {
-    ($($($from:ty),*: |$value:ident| $to:expr;)*) => { $($(
+macro_rules! names {
+    ($($from:ty),*) => { $(
         impl From<$from> for Value {
-            fn from($value: $from) -> Value {
-                $to
+            fn from(kind: $from) -> Value {
+                kind.name().into()
             }
         }
-    )*)* };
+    )* };
 }
-values! {
-    bool: |flag| Value::Flag(flag);
-    i64: |n| Value::Count(n);
-    u32: |n| Value::Count(n.into());
-    usize, u64: |n| Value::Count(n.try_into().expect("a count fits into 63 bits"));
-    f64: |x| Value::Number(x);
-    Spread: |spread| Value::Spread(spread);
-    // An empty text is no value, as in a CSV file.
-    String: |text| if text.is_empty() { Value::Empty } else { Value::Text(text) };
-    &str: |text| text.to_owned().into();
-    Precision, Preconditioner, PatchPressure: |kind| kind.name().into();
-}
+names!(Precision, Preconditioner, PatchPressure);
 
-impl<T: Into<Value>> From<Option<T>> for Value {
-    fn from(value: Option<T>) -> Value {
-        value.map_or(Value::Empty, Into::into)
-    }
-}
-
-fn finite<S: Serializer>(x: &f64, to: S) -> Result<S::Ok, S::Error> {
-    x.is_finite().then_some(x).serialize(to)
-}
-
-impl Value {
-    /// The value of a cell of a CSV file.
-    fn parse(cell: &str) -> Value {
-        let flag = || cell.parse().ok().map(Value::Flag);
-        let count = || cell.parse().ok().map(Value::Count);
-        let number = || cell.parse().ok().map(Value::Number);
-        flag().or_else(count).or_else(number).unwrap_or_else(|| cell.into())
-    }
-
-    /// NaN for anything but a number.
-    fn number(&self) -> f64 {
-        match *self {
-            Value::Number(x) => x,
-            Value::Count(n) => n as f64,
-            _ => f64::NAN,
-        }
-    }
-
-    /// Four digits for the terminal.
-    fn short(&self) -> String {
-        let short = |x: f64| match x.abs() {
+/// Four digits for the terminal.
+fn short(value: &Value) -> String {
+    match value {
+        Value::Null => "-".to_owned(),
+        Value::String(text) => text.lines().next().unwrap_or_default().to_owned(),
+        Value::Number(number) if number.is_f64() => match number.as_f64().unwrap_or_default() {
             0.0 => "0".to_owned(),
-            size @ 1e-3..1e5 => {
-                let digits = (3 - size.log10().floor() as i32).max(0);
+            x if (1e-3..1e5).contains(&x.abs()) => {
+                let digits = (3 - x.abs().log10().floor() as i32).max(0);
                 format!("{x:.*}", digits as usize)
             }
-            _ => format!("{x:.2e}"),
-        };
-        match self {
-            Value::Empty => "-".to_owned(),
-            Value::Flag(flag) => flag.to_string(),
-            Value::Count(n) => n.to_string(),
-            Value::Number(x) => short(*x),
-            Value::Text(text) => text.lines().next().unwrap_or_default().to_owned(),
-            Value::Spread(Spread { median, min, max }) => {
-                format!("{} ({}, {})", short(*median), short(*min), short(*max))
-            }
-        }
+            x => format!("{x:.2e}"),
+        },
+        other => other.to_string(),
     }
 }
 
-/// Endings of the three columns of a spread.
+/// Endings of the columns of a spread.
 const ENDS: [&str; 3] = ["_median", "_min", "_max"];
 
 /// Named values.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Row(BTreeMap<&'static str, Value>);
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+pub struct Row(Map<String, Value>);
 
 impl Row {
     /// A row of these values.
-    pub fn new(values: impl IntoIterator<Item = (&'static str, Value)>) -> Row {
-        Row(values.into_iter().collect())
+    pub fn new<N: AsRef<str>>(values: impl IntoIterator<Item = (N, Value)>) -> Row {
+        let mut row = Row::default();
+        values.into_iter().for_each(|(name, value)| row.set(name.as_ref(), value));
+        row
     }
 
-    /// Sets a value.
-    pub fn set(&mut self, name: &'static str, value: impl Into<Value>) {
-        self.0.insert(name, value.into());
+    /// Sets a value. A spread is three: `X_median`, `X_min`, `X_max`. An empty text is no value, as in a CSV file.
+    pub fn set(&mut self, name: &str, value: impl Into<Value>) {
+        match value.into() {
+            Value::Object(spread) => spread.into_iter().for_each(|(end, x)| self.set(&format!("{name}_{end}"), x)),
+            Value::String(text) if text.is_empty() => self.set(name, Value::Null),
+            value => drop(self.0.insert(name.to_owned(), value)),
+        }
     }
 
     /// Names of the values.
-    pub(super) fn names(&self) -> impl Iterator<Item = &'static str> {
-        self.0.keys().copied()
+    pub(super) fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().map(String::as_str)
     }
 
     /// Adds the values of another row.
@@ -132,23 +84,18 @@ impl Row {
     }
 
     /// These values alone.
-    pub fn only(&self, names: &[&'static str]) -> Row {
-        Row::new(names.iter().map(|name| (*name, self.get(name))))
+    pub fn only(&self, names: &[&str]) -> Row {
+        Row::new(names.iter().map(|name| (name, self.get(name))))
     }
 
-    /// Value of a column, also of one of a spread; empty if absent.
+    /// A value; null if absent.
     pub fn get(&self, name: &str) -> Value {
-        let end = |(at, end)| {
-            let Spread { median, min, max } = self.spread(name.strip_suffix(end)?)?;
-            Some([median, min, max][at])
-        };
-        let value = self.0.get(name).cloned();
-        value.unwrap_or_else(|| ENDS.into_iter().enumerate().find_map(end).into())
+        self.0.get(name).cloned().unwrap_or_default()
     }
 
     /// A number; NaN if absent.
     pub fn number(&self, name: &str) -> f64 {
-        self.get(name).number()
+        self.get(name).as_f64().unwrap_or(f64::NAN)
     }
 
     /// A whole number; 0 if absent.
@@ -158,10 +105,7 @@ impl Row {
 
     /// A text; empty if absent.
     pub fn text(&self, name: &str) -> &str {
-        match self.0.get(name) {
-            Some(Value::Text(text)) => text,
-            _ => "",
-        }
+        self.0.get(name).and_then(Value::as_str).unwrap_or_default()
     }
 
     /// Texts joined by spaces.
@@ -172,25 +116,23 @@ impl Row {
 
     /// Whether all values of another row are the same here.
     pub fn contains(&self, other: &Row) -> bool {
-        other.0.iter().all(|(name, value)| self.get(name) == *value)
+        other.names().all(|name| self.get(name) == other.get(name))
     }
 
     /// Whether a flag is set.
     pub fn flag(&self, name: &str) -> bool {
-        self.get(name) == Value::Flag(true)
+        self.get(name) == true
     }
 
     /// A spread.
     pub fn spread(&self, name: &str) -> Option<Spread> {
-        match self.0.get(name) {
-            Some(Value::Spread(spread)) => Some(*spread),
-            _ => None,
-        }
+        let [median, min, max] = ENDS.map(|end| self.get(&format!("{name}{end}")).as_f64());
+        Some(Spread { median: median?, min: min?, max: max? })
     }
 
     /// Whether there is a value.
     pub fn has(&self, name: &str) -> bool {
-        self.get(name) != Value::Empty
+        !self.get(name).is_null()
     }
 }
 
@@ -215,26 +157,44 @@ pub struct Column {
     pub shown: bool,
     /// Whether it is three columns: `X_median`, `X_min`, `X_max`.
     pub spread: bool,
-    /// Whether it contains names, which may look like numbers.
-    pub names: bool,
 }
 
-/// Columns, one a line: name, kind, unit, meaning. Kinds: `-` in files only, `+` in the terminal too, `~` a spread, `=` any
-/// name.
+/// Columns: kind, one or more names, unit, meaning. Kinds: `-` in files only, `+` in the terminal too, `~` a spread.
 macro_rules! columns {
-    ($($(#[$doc:meta])* $list:ident { $($name:ident $kind:tt $unit:literal $about:literal;)* })*) => { $(
+    ($($(#[$doc:meta])* $list:ident { $($kind:tt $($name:ident),+ $unit:literal $about:literal;)* })*) => { $(
         $(#[$doc])*
-        pub(crate) const $list: &[$crate::measure::bench::table::Column] = &[$($crate::measure::bench::table::Column {
+        pub(crate) const $list: &[$crate::measure::bench::table::Column] = &[$($($crate::measure::bench::table::Column {
             name: stringify!($name),
             unit: $unit,
             about: $about,
             shown: stringify!($kind).as_bytes()[0] != b'-',
             spread: stringify!($kind).as_bytes()[0] == b'~',
-            names: stringify!($kind).as_bytes()[0] == b'=',
-        }),*];
+        },)+)*];
     )* };
 }
 pub(crate) use columns;
+
+impl Column {
+    /// Names in files.
+    fn heads(&self) -> Vec<String> {
+        let ends = if self.spread { &ENDS[..] } else { &[""] };
+        ends.iter().map(|end| format!("{}{end}", self.name)).collect()
+    }
+
+    /// Name and unit for the terminal.
+    fn heading(&self) -> String {
+        match self.unit {
+            "" => self.name.to_owned(),
+            unit => format!("{}/{unit}", self.name),
+        }
+    }
+
+    /// Padded to the width of the heading, which fits most values.
+    fn padded(&self, text: &str) -> String {
+        let least = if self.spread { 26 } else { 9 };
+        format!("{text:width$}  ", width = self.heading().len().max(least))
+    }
+}
 
 /// A table and its columns.
 #[derive(Clone, Debug)]
@@ -255,14 +215,14 @@ impl Table {
         Table { name, columns, key, rows: Vec::new() }
     }
 
-    fn columns(&self) -> impl Iterator<Item = &'static Column> + use<> {
-        self.columns.iter().copied().flatten()
-    }
-
     /// Names of the columns of files.
     fn heads(&self) -> Vec<String> {
-        let ends = |column: &Column| if column.spread { &ENDS[..] } else { &[""] };
-        self.columns().flat_map(|column| ends(column).iter().map(|end| format!("{}{end}", column.name))).collect()
+        self.columns.iter().copied().flatten().flat_map(Column::heads).collect()
+    }
+
+    /// Columns that the terminal shows.
+    fn shown(&self) -> impl Iterator<Item = &'static Column> + use<> {
+        self.columns.iter().copied().flatten().filter(|column| column.shown)
     }
 
     /// Appends a row, or replaces the one with the same key.
@@ -270,7 +230,8 @@ impl Table {
     /// # Panics
     /// If a value has no column.
     pub(super) fn put(&mut self, row: Row) {
-        let unknown = row.names().find(|name| self.columns().all(|column| column.name != *name));
+        let heads = self.heads();
+        let unknown = row.names().find(|name| row.has(name) && heads.iter().all(|head| head != name));
         assert!(unknown.is_none(), "{} has no column {unknown:?}", self.name);
         let key = row.only(self.key);
         match self.rows.iter_mut().find(|other| other.contains(&key)) {
@@ -295,55 +256,22 @@ impl Table {
         write_csv(path, std::iter::once(names).chain(rows))
     }
 
-    /// Reads the rows of an earlier run; none without a file.
-    pub(super) fn read_csv(&mut self, path: &Path) -> Result<(), Error> {
-        if !path.exists() {
-            return Ok(());
-        }
-        let row = |record: BTreeMap<String, String>| {
-            let text = |name: &str| record.get(name).map_or("", String::as_str);
-            let cell = |name: &str| Value::parse(text(name));
-            Row::new(self.columns().map(|column| {
-                let [median, min, max] = ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
-                let value = match column.spread {
-                    false if column.names => text(column.name).into(),
-                    false => cell(column.name),
-                    true if median.is_finite() => Value::Spread(Spread { median, min, max }),
-                    true => Value::Empty,
-                };
-                (column.name, value)
-            }))
-        };
-        let rows = csv::Reader::from_path(path)
-            .and_then(|mut reader| reader.deserialize().map(|record| record.map(row)).collect());
-        self.rows = rows.map_err(|problem| super::refused(path, format!("cannot be read: {problem}")))?;
-        Ok(())
-    }
-
     /// Names of the columns that the terminal shows.
     pub fn heading(&self) -> String {
-        self.columns().filter(|column| column.shown).map(|column| padded(heading(column), column)).collect()
+        self.shown().map(|column| column.padded(&column.heading())).collect()
     }
 
     /// The values of a row that the terminal shows.
     pub fn line(&self, row: &Row) -> String {
-        let shown = self.columns().filter(|column| column.shown);
-        let cells = shown.map(|column| padded(row.0.get(column.name).unwrap_or(&Value::Empty).short(), column));
+        let cells = self.shown().map(|column| {
+            let values: Vec<String> = column.heads().iter().map(|head| short(&row.get(head))).collect();
+            column.padded(&match &values[..] {
+                [median, min, max] if median != "-" => format!("{median} ({min}, {max})"),
+                values => values[0].clone(),
+            })
+        });
         cells.collect::<String>().trim_end().to_owned()
     }
-}
-
-fn heading(Column { name, unit, .. }: &Column) -> String {
-    match *unit {
-        "" => (*name).to_owned(),
-        _ => format!("{name}/{unit}"),
-    }
-}
-
-/// Padded to the width of the head of its column, which fits most values.
-fn padded(text: String, column: &Column) -> String {
-    let least = if column.spread { 26 } else { 9 };
-    format!("{text:width$}  ", width = heading(column).len().max(least))
 }
 
 /// Rows as JSON objects, in the order of the columns.

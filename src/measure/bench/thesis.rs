@@ -46,6 +46,10 @@ pub struct Options {
 const SYSTEMS: [&str; 3] = ["6.2", "6.3", "6.4"];
 
 impl Options {
+    fn has(&self, table: &str) -> bool {
+        self.tables.iter().any(|own| own == table)
+    }
+
     /// Grids of a table. Default: those of the thesis that take minutes on two cores.
     fn grids(&self, table: &str) -> Vec<usize> {
         let own: &[usize] = match table {
@@ -60,17 +64,12 @@ impl Options {
     fn check(&self) -> Result<(), Error> {
         for table in &self.tables {
             let systems = SYSTEMS.contains(&table.as_str());
-            let ([least, most, unit], problem, cure) = match systems {
-                true => (
-                    [8, 256, 1],
-                    "the dam break is too coarse or too large",
-                    "give cells from 8 to 256, such as those of the thesis: 40 to 90",
-                ),
-                false => (
-                    [5, 320, 5],
-                    "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
-                    "give multiples of 5 up to 320",
-                ),
+            let ([least, most, unit], problem, cure) = if systems {
+                let cure = "give cells from 8 to 256, such as those of the thesis: 40 to 90";
+                ([8, 256, 1], "the dam break is too coarse or too large", cure)
+            } else {
+                let problem = "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells";
+                ([5, 320, 5], problem, "give multiples of 5 up to 320")
             };
             let fits = |grid: &usize| (least..=most).contains(grid) && grid.is_multiple_of(unit);
             if let Some(grid) = self.grids(table).into_iter().find(|grid| !fits(grid)) {
@@ -84,8 +83,16 @@ impl Options {
     }
 }
 
-fn bench() -> Bench {
-    Bench {
+/// Measures the selected tables: thesis_scenes.csv; thesis_systems.csv, thesis_means.csv, thesis_growth.csv; thesis.csv, thesis_orders.csv;
+/// thesis.json, thesis.svg.
+///
+/// # Errors
+/// [`Error::Input`] for grids and frames that the problems do not have, and missing scenes.
+pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
+    options.check()?;
+    let gpu = Gpu::new(&options.adapter)?;
+    let scenes = scenes::cases(options, gpu.has_f64())?;
+    let bench = Bench {
         name: "thesis",
         tables: vec![
             Table::new("thesis", &[errors::ERRORS], &["table", "patch_pressure", "grid", "backend", "precision"]),
@@ -101,25 +108,14 @@ fn bench() -> Bench {
         ],
         derive,
         pictures: &[("thesis", draw)],
-    }
-}
-
-/// Measures the selected tables: thesis_scenes.csv; thesis_systems.csv, thesis_means.csv, thesis_growth.csv; thesis.csv, thesis_orders.csv;
-/// thesis.json, thesis.svg.
-///
-/// # Errors
-/// [`Error::Input`] for grids and frames that the problems do not have, and missing scenes; [`Error::Output`]; errors of the simulations.
-pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
-    options.check()?;
-    let gpu = Gpu::new(&options.adapter)?;
-    let scenes = scenes::cases(options, gpu.has_f64())?;
+    };
     let machine = Machine::new(&gpu, settings.repeats)?;
     let request = (options.scale, options.steps, &options.precisions);
-    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    let mut run = Run::start(bench, machine, &request, settings, listener)?;
     run.cases(scenes)?;
     run.cases(systems::cases(options))?;
     let mut cases = Vec::new();
-    for problem in options.tables.iter().filter_map(|table| errors::Problem::from_table(table)) {
+    for problem in errors::PROBLEMS.iter().filter(|problem| options.has(problem.table)) {
         for patches in errors::PATCHES {
             for grid in options.grids(problem.table) {
                 let key = row! { table: problem.table, grid: grid, patch_pressure: patches };

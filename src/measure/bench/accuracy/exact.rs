@@ -1,13 +1,16 @@
-//! Problems with a known pressure, for the error of the grid.
+//! Problems with a known pressure, on grids.
 
 use glam::DVec3;
 
+use super::{Options, ensure_truth};
 use crate::Error;
+use crate::measure::bench::sub_step::{Done, Mask, open_paths, reference_step, rest_errors, solve_columns, sub_step};
+use crate::measure::bench::table::row;
+use crate::measure::bench::{Rows, Run, rounds};
+use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5};
+use crate::reference::larger;
 use crate::scene::{Scene, Solver, names};
 use crate::sim::{reference_path, solids_of};
-use crate::state::State;
-
-use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5};
 
 /// Weight of water, N/m^3.
 const WEIGHT: f64 = 1000.0 * 9.81;
@@ -33,7 +36,7 @@ names! { Exact: "elastic_block" => Block, "pool_at_rest" => Rest, "dam_release" 
 
 impl Exact {
     /// Its scene; `cells` along 1 m: a multiple of 10.
-    pub(super) fn scene(self, cells: usize, solver: Solver) -> Result<Scene, Error> {
+    fn scene(self, cells: usize, solver: Solver) -> Result<Scene, Error> {
         let text = match self {
             Exact::Block => return TABLE_6_5.scene(cells, solver),
             Exact::Rest => format!(
@@ -57,17 +60,8 @@ impl Exact {
         Ok(scene)
     }
 
-    /// Initial state of its scene.
-    pub(super) fn state(self, scene: &Scene) -> Result<State, Error> {
-        let mut state = reference_path(scene)?.state().clone();
-        if self == Exact::Block {
-            TABLE_6_5.deform(&solids_of(scene)?, &mut state);
-        }
-        Ok(state)
-    }
-
     /// Exact pressure at a point, Pa; `None` where errors do not count.
-    pub(super) fn pressure(self, x: DVec3) -> Option<f64> {
+    fn pressure(self, x: DVec3) -> Option<f64> {
         match self {
             Exact::Block => Some(PlaneStrain::pressure(x.y)),
             Exact::Rest => Some(WEIGHT * (DEPTH - x.y)),
@@ -78,13 +72,58 @@ impl Exact {
         }
     }
 
-    /// The largest pressure, Pa.
-    pub(super) fn scale(self) -> f64 {
-        match self {
+    /// Rows of a problem on a grid.
+    pub(super) fn measure(self, run: &mut Run, grid: usize, options: &Options) -> Result<Rows, Error> {
+        let solver = super::exact(Solver::default());
+        let scene = self.scene(grid, solver)?;
+        let mut reference = reference_path(&scene)?;
+        let mut state = reference.state().clone();
+        if self == Exact::Block {
+            TABLE_6_5.deform(&solids_of(&scene)?, &mut state);
+        }
+        let exact = reference_step(&mut reference, &state)?;
+        let what = format!("{}, {grid} cells along 1 m", self.name());
+        ensure_truth(&format!("{what}, the f64 path"), state.step, exact.report.solves())?;
+        let mask = Mask::new(&reference);
+        // Nothing should move where no dam is removed.
+        let rests = self != Exact::Dam;
+        let [grid_p, grid_u] = self.errors(&scene, &mask, &exact);
+        let solvers = options.precisions.iter().map(|&precision| Solver {
+            precision,
+            tolerance: options.tolerances[0],
+            max_iterations: options.max_iterations,
+            ..solver
+        });
+        let mut paths = open_paths(&scene, solvers, &state, &options.adapter)?;
+        let n = options.tolerances.len();
+        let timed = rounds(run, &format!("solves of {what}"), n * paths.len(), |job| {
+            let path = &mut paths[job / n].1;
+            path.set_tolerance(options.tolerances[job % n]);
+            let done = sub_step(path, &state)?;
+            Ok((done.seconds, done))
+        })?;
+        let rows = timed.into_iter().enumerate().map(|(job, timed)| {
+            let (tolerance, done) = (options.tolerances[job % n], &timed.outcome);
+            let [error_p, error_u] = self.errors(&scene, &mask, done);
+            let row = row! {
+                problem: self.name(), grid: grid, precision: paths[job / n].0, tolerance: tolerance, error_p: error_p,
+                grid_error_p: grid_p, error_u: rests.then_some(error_u), grid_error_u: rests.then_some(grid_u),
+            };
+            ("accuracy_grids", row.with(solve_columns(&done.report, tolerance, timed.spread())))
+        });
+        Ok(rows.collect())
+    }
+
+    /// Errors of the pressure over the largest pressure, and of speeds over g dt.
+    fn errors(self, scene: &Scene, mask: &Mask, done: &Done) -> [f64; 2] {
+        let [p, v, u] = rest_errors(scene, mask, done, |x| self.pressure(x));
+        let fall = scene.domain.gravity.length() * scene.time.fixed_step.unwrap_or(0.0);
+        let largest = match self {
             Exact::Block => PlaneStrain::pressure(0.0),
             Exact::Rest => WEIGHT * DEPTH,
             Exact::Dam => WEIGHT * DAM,
-        }
+        };
+        [p / largest, larger(v, u) / fall]
     }
 }
 

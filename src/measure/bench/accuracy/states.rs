@@ -18,6 +18,8 @@ use crate::step::Stage;
 struct Case<'a> {
     scene: &'a Scene,
     state: &'a State,
+    /// Scene and frame, for messages.
+    what: String,
     /// On the f64 path.
     exact: Done,
     mask: Mask,
@@ -60,7 +62,7 @@ pub(super) fn measure(run: &mut Run, scene: &Scene, frame: u64, options: &Option
         return Err(refused.unwrap_or_else(|| Error::input(scene.file.display().to_string(), problem, cure)));
     }
     let n = options.tolerances.len();
-    let timed = rounds(run, &format!("solves of {}, frame {frame}", scene.name), n * variants.len(), |job| {
+    let timed = rounds(run, &format!("solves of {}", case.what), n * variants.len(), |job| {
         let path = &mut variants[job / n].path;
         path.set_tolerance(options.tolerances[job % n]);
         let done = sub_step(path, state)?;
@@ -74,21 +76,20 @@ pub(super) fn measure(run: &mut Run, scene: &Scene, frame: u64, options: &Option
 
 /// Solvers that a scene file can select: block Jacobi only in the two-field form, no condensed form in f32.
 fn solvers(scene: &Scene, options: &Options) -> Vec<Solver> {
-    let together = Effects::of(scene).coupling;
+    let formulations = match Effects::of(scene).coupling {
+        true => &[Formulation::Condensed, Formulation::TwoField][..],
+        false => &[Formulation::Auto],
+    };
     let mut solvers = Vec::new();
     for &precision in &options.precisions {
         for &preconditioner in &options.preconditioners {
-            for &formulation in &options.formulations {
-                let again = !together && formulation != options.formulations[0];
-                let condensed = together && formulation == Formulation::Condensed;
+            for &formulation in formulations {
                 let blocks = preconditioner == Preconditioner::BlockJacobi;
-                let unknown = blocks && (condensed || !together);
-                if again || unknown || condensed && precision == Precision::F32 {
-                    continue;
+                let single = precision == Precision::F32 && formulation == Formulation::Condensed;
+                if !single && (!blocks || formulation == Formulation::TwoField) {
+                    let max_iterations = options.max_iterations;
+                    solvers.push(Solver { precision, preconditioner, formulation, max_iterations, ..scene.solver });
                 }
-                let formulation = if together { formulation } else { Formulation::Auto };
-                let max_iterations = options.max_iterations;
-                solvers.push(Solver { precision, preconditioner, formulation, max_iterations, ..scene.solver });
             }
         }
     }
@@ -97,21 +98,14 @@ fn solvers(scene: &Scene, options: &Options) -> Vec<Solver> {
 
 impl<'a> Case<'a> {
     fn new(scene: &'a Scene, state: &'a State) -> Result<Case<'a>, Error> {
-        let precise = Scene { solver: super::exact(scene.solver), ..scene.clone() };
-        let mut reference = reference_path(&precise)?;
+        let mut reference = reference_path(&Scene { solver: super::exact(scene.solver), ..scene.clone() })?;
         reference.reset(state.clone())?;
         let dt = reference.next_time_step().dt;
         let exact = reference_step(&mut reference, state)?;
         let mask = Mask::new(&reference);
-        let case = Case { scene, state, exact, mask, dt };
-        case.ensure_truth("the f64 path", case.exact.report.solves())?;
-        Ok(case)
-    }
-
-    /// Refuses an exact solution that did not converge.
-    fn ensure_truth(&self, system: &str, solves: impl IntoIterator<Item = SolveReport>) -> Result<(), Error> {
-        let what = format!("{}, frame {}, {system}", self.scene.name, self.state.frame);
-        ensure_truth(&what, self.state.step, solves)
+        let what = format!("{}, frame {}", scene.name, state.frame);
+        ensure_truth(&format!("{what}, the f64 path"), state.step, exact.report.solves())?;
+        Ok(Case { scene, state, what, exact, mask, dt })
     }
 
     fn row(&self, variant: &Variant, tolerance: f64, seconds: Spread, done: &Done) -> Row {
@@ -163,7 +157,11 @@ impl Variant {
             } else if stage == Stage::Solve {
                 let (exact, solves) = solution(path, &path.snapshot()?, &inflow, density, dt)?;
                 let residual = solves.iter().map(|solve| solve.residual).fold(0.0, larger);
-                case.ensure_truth(&format!("stored in {}", solver.precision.name()), solves)?;
+                ensure_truth(
+                    &format!("{}, stored in {}", case.what, solver.precision.name()),
+                    case.state.step,
+                    solves,
+                )?;
                 truth = Some((exact, residual));
             }
             Ok(())

@@ -47,9 +47,6 @@ impl<'a> Capacity<'a> {
     }
 
     /// Refuses a grid that is too large; the cure names the largest that fits.
-    ///
-    /// # Errors
-    /// [`Error::Limit`], [`Error::Memory`].
     pub fn check(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
         let mut checked = self.fits(grid, solvers);
         if let Err(Error::Limit { cure, .. } | Error::Memory { cure, .. }) = &mut checked {

@@ -92,8 +92,6 @@ pub(super) enum Definite<'a> {
 }
 
 impl Definite<'_> {
-    /// # Errors
-    /// When it does not fit into memory.
     pub(super) fn matrix(&self) -> Result<Csr, Error> {
         match self {
             Definite::Pressure { system, .. } => Ok(system.to_csr()),

@@ -40,16 +40,16 @@ pub struct Limit {
 
 columns! {
     LIMIT {
-        passed + "" "whether the growth is within the tolerance and on the side of 1 that theory gives";
-        name = "" "name";
-        ratio + "" "m_a / m_s";
-        omega_dt - "" "w dt of the spring";
-        dt - "s" "sub-step";
-        over_limit - "" "m_a / m_s over the limit 1 + (w dt)^2 / 4: above 1 weak coupling is unstable";
-        expected + "" "growth of the velocity per sub-step by the formula, or measured with the longer sub-step";
-        got + "" "measured";
-        off - "" "relative difference";
-        tolerance - "" "bound of `off`";
+        + passed "" "whether the growth is within the tolerance and on the side of 1 that theory gives";
+        + name "" "name";
+        + ratio "" "m_a / m_s";
+        - omega_dt "" "w dt of the spring";
+        - dt "s" "sub-step";
+        - over_limit "" "m_a / m_s over the limit 1 + (w dt)^2 / 4: above 1 weak coupling is unstable";
+        + expected "" "growth of the velocity per sub-step by the formula, or measured with the longer sub-step";
+        + got "" "measured";
+        - off "" "relative difference";
+        - tolerance "" "bound of `off`";
     }
 }
 

@@ -27,9 +27,6 @@ impl Case {
 
     /// The scene with refined meshes of its solids. Bricks along the axes of boxes are multiplied by the scale, rounded, at least 1; edge lengths in
     /// balls, shells and filled surfaces are divided by it. Meshes from files do not change.
-    ///
-    /// # Errors
-    /// [`Error::Input`] if the scale is not a number above 0.
     pub fn new(mut scene: Scene, solids_scale: f64) -> Result<Case, Error> {
         if !(solids_scale.is_finite() && solids_scale > 0.0) {
             return Err(Error::input(

@@ -42,44 +42,34 @@ const PRINTED_6_6: Printed = [
 
 columns! {
     ERRORS {
-        table = "" "number of the table";
-        grid + "" "cells along the tank's height";
-        dx - "m" "cell size";
-        backend + "" "`cpu` or `gpu`";
-        precision + "" "`f32`, `mixed` or `f64`";
-        patch_pressure + "" "`cell` or `hydrostatic`";
-        unknowns - "" "of the pressure";
-        solid_unknowns - "" "of the solids";
-        error_p + "Pa" "largest error of the pressures of all unknowns";
-        error_v + "m/s" "of the components of the nodes' velocities";
-        error_u + "m/s" "of the velocities on open faces beside unknowns";
-        rms_v - "m/s" "root of the mean square of the components of the nodes' velocities";
-        thesis_p - "Pa" "printed";
-        thesis_v - "m/s" "printed";
-        thesis_u - "m/s" "printed";
-        ratio_p + "" "over the printed one";
-        ratio_v + "" "over the printed one";
-        ratio_u + "" "over the printed one";
-        error_p_over_weight - "" "`error_p` over the weight of the liquid from the block's bottom to the centre of its cell";
-        status + "" "`converged`, `converged_to_rounding` or why not";
-        iterations - "" "0 for a direct solve";
-        seconds ~ "s" "seconds of the solve";
+        + table "" "number of the table";
+        + grid "" "cells along the tank's height";
+        - dx "m" "cell size";
+        + backend "" "`cpu` or `gpu`";
+        + precision "" "`f32`, `mixed` or `f64`";
+        + patch_pressure "" "`cell` or `hydrostatic`";
+        - unknowns, solid_unknowns "" "of the pressure, and of the solids";
+        + error_p "Pa" "largest error of the pressures of all unknowns";
+        + error_v "m/s" "of the components of the nodes' velocities";
+        + error_u "m/s" "of the velocities on open faces beside unknowns";
+        - rms_v "m/s" "root of the mean square of the components of the nodes' velocities";
+        - thesis_p "Pa" "printed";
+        - thesis_v, thesis_u "m/s" "printed";
+        + ratio_p, ratio_v, ratio_u "" "over the printed one";
+        - error_p_over_weight "" "`error_p` over the weight of the liquid from the block's bottom to the centre of its cell";
+        + status "" "`converged`, `converged_to_rounding` or why not";
+        - iterations "" "0 for a direct solve";
+        ~ seconds "s" "seconds of the solve";
     }
     /// Orders of convergence over cell sizes of 0.1 to 0.0125.
     ORDERS {
-        table = "" "number of the table";
-        backend + "" "`cpu`, `gpu` or, of the printed errors, `thesis`";
-        precision + "" "as in thesis.csv";
-        patch_pressure + "" "as in thesis.csv";
-        coarsest + "" "cells of the coarsest grid";
-        finest + "" "of the finest";
-        order_p + "" "of p, by least squares of the logarithms";
-        order_v + "" "of v";
-        order_u + "" "of u";
-        order_rms_v - "" "of the root of the mean square of v";
-        least_p - "" "least order of p from one grid to the next";
-        least_v - "" "of v";
-        least_u - "" "of u";
+        + table "" "number of the table";
+        + backend "" "`cpu`, `gpu` or, of the printed errors, `thesis`";
+        + precision, patch_pressure "" "as in thesis.csv";
+        + coarsest, finest "" "cells of the coarsest and the finest grid";
+        + order_p, order_v, order_u "" "by least squares of the logarithms";
+        - order_rms_v "" "of the root of the mean square of v";
+        - least_p, least_v, least_u "" "least order from one grid to the next";
     }
 }
 
@@ -91,19 +81,16 @@ pub(super) struct Problem {
     printed: &'static Printed,
 }
 
+/// Both problems.
+pub(super) const PROBLEMS: [Problem; 2] = [
+    Problem { table: "6.5", strain: TABLE_6_5, printed: &PRINTED_6_5 },
+    Problem { table: "6.6", strain: TABLE_6_6, printed: &PRINTED_6_6 },
+];
+
 /// Measured patch pressures.
 pub(super) const PATCHES: [PatchPressure; 2] = [PatchPressure::Cell, PatchPressure::Hydrostatic];
 
 impl Problem {
-    /// Problem of a table; `None` for other tables.
-    pub(super) fn from_table(table: &str) -> Option<Problem> {
-        match table {
-            "6.5" => Some(Problem { table: "6.5", strain: TABLE_6_5, printed: &PRINTED_6_5 }),
-            "6.6" => Some(Problem { table: "6.6", strain: TABLE_6_6, printed: &PRINTED_6_6 }),
-            _ => None,
-        }
-    }
-
     /// Rows on a grid: the f64 path, and the device in each precision.
     pub(super) fn rows(
         self,
@@ -183,7 +170,7 @@ fn order(rows: &[&Row]) -> Option<Row> {
 pub(super) fn orders(rows: &[Row]) -> Vec<Row> {
     let mut orders = Vec::new();
     for (table, rows) in grouped(rows, |row| Some(row.text("table"))) {
-        let printed = Problem::from_table(table).map_or(&[][..], |problem| problem.printed).iter();
+        let printed = PROBLEMS.iter().filter(|problem| problem.table == table).flat_map(|problem| problem.printed);
         let printed = printed.map(|&(grid, [p, v, u])| row! { grid: grid, error_p: p, error_v: v, error_u: u });
         let printed: Vec<Row> = printed.collect();
         let thesis = row! { table: table, backend: "thesis", precision: "", patch_pressure: "cell" };

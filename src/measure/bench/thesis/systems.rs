@@ -17,7 +17,7 @@ use crate::measure::bench::solve::bricks_across;
 use crate::measure::bench::statistics::{Spread, exponent, grouped};
 use crate::measure::bench::sub_step::{open_paths, stage_seconds, sub_step};
 use crate::measure::bench::table::{Row, Value, columns, row};
-use crate::measure::bench::{Case as BenchCase, Rows, Run, rounds};
+use crate::measure::bench::{Case as BenchCase, Run, rounds};
 use crate::reference::{
     BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem, StressVariables, conditions,
     solid_matrices, solve_coupled,
@@ -62,64 +62,53 @@ const PRINTED_6_4: [(usize, [[f64; 2]; 2]); 5] = [
 
 columns! {
     SYSTEMS {
-        table = "" "number of the table";
-        grid + "" "cells along an edge";
-        nodes + "" "of the beam";
-        elements - "" "of the beam";
-        frame + "" "frame of the state";
-        dt - "s" "length of the sub-step";
-        sub_steps_per_frame - "" "up to this one";
-        formulation + "" "`indefinite`, `two-field`, `stress` or `condensed`";
-        solver + "" "its solver";
-        backend + "" "`cpu` or `gpu`";
-        precision + "" "`f32`, `mixed` or `f64`";
-        unknowns - "" "of the pressure";
-        solid_unknowns - "" "of the solids";
-        nonzeros + "" "entries of the matrix, both triangles";
-        log10_condest + "" "condition number for the 1-norm, as `condest`: alpha = 0.001, sigma = 0.9";
-        log10_condition - "" "for the 2-norm";
-        log10_condition_exact - "" "the same from all eigenvalues, of small matrices";
-        status + "" "`converged`, `converged_to_rounding` or why not";
-        iterations + "" "over all refinement steps";
-        residual_p - "" "true relative residual of the pressure";
-        residual_v - "" "of the velocities";
-        seconds ~ "s" "of the solve: on the CPU from the assembled B, J and S, on the device from the liquid distance on";
-        frame_seconds ~ "s" "sub-steps per frame times a sub-step: the device's, or this solve with the other stages of the f64 path";
+        + table "" "number of the table";
+        + grid "" "cells along an edge";
+        + nodes "" "of the beam";
+        - elements "" "of the beam";
+        + frame "" "frame of the state";
+        - dt "s" "length of the sub-step";
+        - sub_steps_per_frame "" "up to this one";
+        + formulation "" "`indefinite`, `two-field`, `stress` or `condensed`";
+        + solver "" "its solver";
+        + backend "" "`cpu` or `gpu`";
+        + precision "" "`f32`, `mixed` or `f64`";
+        - unknowns, solid_unknowns "" "of the pressure, and of the solids";
+        + nonzeros "" "entries of the matrix, both triangles";
+        + log10_condest "" "condition number for the 1-norm, as `condest`: alpha = 0.001, sigma = 0.9";
+        - log10_condition "" "for the 2-norm";
+        - log10_condition_exact "" "the same from all eigenvalues, of small matrices";
+        + status "" "`converged`, `converged_to_rounding` or why not";
+        + iterations "" "over all refinement steps";
+        - residual_p, residual_v "" "true relative residuals of the pressure and of the velocities";
+        ~ seconds "s" "of the solve: on the CPU from the assembled B, J and S, on the device from the liquid distance on";
+        ~ frame_seconds "s" "sub-steps per frame times a sub-step: the device's, or this solve with the other stages of the f64 path";
     }
     /// Means over the states; of seconds over those with a converged solve.
     MEANS {
-        table = "" "number of the table";
-        grid + "" "cells along an edge";
-        nodes + "" "of the beam";
-        elements - "" "of the beam";
-        formulation + "" "as in thesis_systems.csv";
-        solver + "" "as in thesis_systems.csv";
-        backend + "" "as in thesis_systems.csv";
-        precision + "" "as in thesis_systems.csv";
-        quantity + "" "`nonzeros`, `log10_condest`, `log10_condition`, `seconds` or `frame_seconds`";
-        states - "" "number of states";
-        mean + "" "mean over the states, of seconds of the medians of repeats";
-        low - "" "the same of the least of the repeats";
-        high - "" "of the largest";
-        least - "" "least of the states";
-        largest - "" "largest";
-        thesis + "" "printed: of the positive definite form for solves that the thesis does not have; empty for MINRES and 2-norms";
-        ratio + "" "over the printed one; of condition numbers, not of their logarithms";
+        + table "" "number of the table";
+        + grid "" "cells along an edge";
+        + nodes "" "of the beam";
+        - elements "" "of the beam";
+        + formulation, solver, backend, precision "" "as in thesis_systems.csv";
+        + quantity "" "`nonzeros`, `log10_condest`, `log10_condition`, `seconds` or `frame_seconds`";
+        - states "" "number of states";
+        + mean "" "mean over the states, of seconds of the medians of repeats";
+        - low, high "" "the same of the least and of the largest of the repeats";
+        - least, largest "" "least and largest of the states";
+        + thesis "" "printed: of the positive definite form for solves that the thesis does not have; empty for MINRES and 2-norms";
+        + ratio "" "over the printed one; of condition numbers, not of their logarithms";
     }
     /// Powers of the cells along an edge, by least squares of the logarithms.
     GROWTH {
-        table = "" "number of the table";
-        nodes + "" "of the beam; empty where it is refined with the grid";
-        formulation + "" "as in thesis_systems.csv";
-        solver + "" "as in thesis_systems.csv";
-        backend + "" "as in thesis_systems.csv";
-        precision + "" "as in thesis_systems.csv";
-        quantity + "" "as in thesis_means.csv; of condition numbers, not of their logarithms";
-        coarsest - "" "cells along an edge of the coarsest grid";
-        finest - "" "of the finest";
-        states - "" "states of each mean, at least";
-        exponent + "" "the power";
-        thesis + "" "of the printed numbers on these grids";
+        + table "" "number of the table";
+        + nodes "" "of the beam; empty where it is refined with the grid";
+        + formulation, solver, backend, precision "" "as in thesis_systems.csv";
+        + quantity "" "as in thesis_means.csv; of condition numbers, not of their logarithms";
+        - coarsest, finest "" "cells along an edge of the coarsest and the finest grid";
+        - states "" "states of each mean, at least";
+        + exponent "" "the power";
+        + thesis "" "of the printed numbers on these grids";
     }
 }
 
@@ -157,12 +146,16 @@ pub(super) fn cases(options: &Options) -> Vec<BenchCase<'_>> {
     let mut cases = Vec::new();
     for (size, tables) in sizes {
         for &frame in &options.frames {
-            for table in tables.clone() {
+            for &table in &tables {
                 // Nodes of a beam k bricks across and 7 k along.
                 let nodes = (size.1 + 1).pow(2) * (7 * size.1 + 1);
                 let (key, last) = (row! { table: table, grid: size.0, nodes: nodes, frame: frame }, Rc::clone(&last));
                 cases.push(BenchCase::new("thesis_systems", key, move |run| {
-                    measure(run, &last, (size, frame, table), options)
+                    let dam = dam_break(last.take(), size, frame, options)?;
+                    let state = dam.state()?;
+                    let rows = Case::new(size, &dam, &state)?.rows(run, table, options)?;
+                    last.replace(Some((size, dam)));
+                    Ok(rows.into_iter().map(|row| ("thesis_systems", row)).collect())
                 }));
             }
         }
@@ -170,28 +163,20 @@ pub(super) fn cases(options: &Options) -> Vec<BenchCase<'_>> {
     cases
 }
 
-/// Rows of a table for a state. `last`: the simulation of the case before, which resumes if it can.
-fn measure(
-    run: &mut Run,
-    last: &RefCell<Option<(Size, Simulation)>>,
-    (size, frame, table): (Size, u64, &str),
-    options: &Options,
-) -> Result<Rows, Error> {
-    let mut last = last.borrow_mut();
-    let simulation = match last.take() {
-        Some((reached, simulation)) if reached == size && simulation.clock().frame <= frame => simulation,
+/// The dam break with a beam of k bricks across and 7 k along on n^3 cells, after a frame. `last`: the simulation of the case before, which resumes if
+/// it can.
+fn dam_break(last: Option<(Size, Simulation)>, size: Size, frame: u64, options: &Options) -> Result<Simulation, Error> {
+    let mut dam = match last {
+        Some((reached, dam)) if reached == size && dam.clock().frame <= frame => dam,
         _ => Simulation::new(&scene(size)?, &Backend::Gpu(options.adapter.clone()))?,
     };
-    let (_, dam) = last.insert((size, simulation));
     while dam.clock().frame < frame {
         dam.step()?;
     }
-    let state = dam.state()?;
-    let rows = Case::new(size, dam, &state)?.rows(run, table, options)?;
-    Ok(rows.into_iter().map(|row| ("thesis_systems", row)).collect())
+    Ok(dam)
 }
 
-/// The dam break with a beam of k bricks across and 7 k along on n^3 cells.
+/// Its scene.
 fn scene((n, across): Size) -> Result<Scene, Error> {
     let cells = [format!("domain.cells=[{n}, {n}, {n}]")];
     let mut scene = Scene::parse("scenes/conditioning_40.toml".as_ref(), SCENE, &cells, 1.0)?;
@@ -202,7 +187,7 @@ fn scene((n, across): Size) -> Result<Scene, Error> {
     Ok(scene)
 }
 
-/// Whether a frame lies within the scene.
+/// Refuses a frame after the end of the scene.
 pub(super) fn ensure_frame(frame: u64) -> Result<(), Error> {
     let last = scene((8, 2))?.n_frames();
     if (1..=last).contains(&frame) {
@@ -444,7 +429,7 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
 /// Growth with the grid of means on two grids at least. Table 6.2 refines the beam with the grid.
 pub(super) fn growth(means: &[Row]) -> Vec<Row> {
     let groups = grouped(means, |mean| {
-        let nodes = if mean.text("table") == "6.2" { Value::Empty } else { mean.get("nodes") };
+        let nodes = if mean.text("table") == "6.2" { Value::Null } else { mean.get("nodes") };
         Some(series(mean).with(row! { quantity: mean.get("quantity"), nodes: nodes }))
     });
     let fits = groups.into_iter().filter_map(|(line, means)| {
