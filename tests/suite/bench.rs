@@ -11,7 +11,7 @@ use cutwater::measure::bench::effects::{bytes_in_use, costs};
 use cutwater::measure::bench::ended::{Ended, is_solved};
 use cutwater::measure::bench::outputs::scratch;
 use cutwater::measure::bench::solve::{Capacity, PER_CELL};
-use cutwater::measure::bench::statistics::{Exponents, Spread, exponent};
+use cutwater::measure::bench::statistics::{Spread, exponent, exponents};
 use cutwater::measure::bench::step::{largest, units};
 use cutwater::measure::bench::table::Row;
 use cutwater::measure::bench::{Event, Listener, Results, Settings};
@@ -109,15 +109,16 @@ fn median_quartiles_and_exponents() {
         let y = 1.0 + x;
         (x, Spread { median: y, min: 0.9 * y, max: 1.2 * y })
     };
-    let found = Exponents::of(&[10.0, 1.0, 100.0].map(point)).unwrap();
-    assert!((found.last - (101.0_f64 / 11.0).log10()).abs() < 1e-12);
-    assert!(found.low < found.fit && found.fit < found.high && found.fit < found.last);
+    let found = exponents(&[10.0, 1.0, 100.0].map(point)).unwrap();
+    let [fit, last, low, high] = found;
+    assert!((last - (101.0_f64 / 11.0).log10()).abs() < 1e-12);
+    assert!(low < fit && fit < high && fit < last);
     // Of three points a decade apart the slope is half that between the ends; the middle one has no weight.
     let ends = |low: f64, high: f64| 0.5 * (high * 101.0 / (low * 2.0)).log10();
-    assert!((found.low - ends(1.2, 0.9)).abs() < 1e-12, "{found:?}");
-    assert!((found.high - ends(0.9, 1.2)).abs() < 1e-12, "{found:?}");
-    assert_eq!(Exponents::of(&[point(2.0), point(2.0)]), None);
-    assert_eq!(Exponents::of(&[]), None);
+    assert!((low - ends(1.2, 0.9)).abs() < 1e-12, "{found:?}");
+    assert!((high - ends(0.9, 1.2)).abs() < 1e-12, "{found:?}");
+    assert_eq!(exponents(&[point(2.0), point(2.0)]), None);
+    assert_eq!(exponents(&[]), None);
     let points = [1.0_f64, 3.0, 10.0].map(|x| (x, 5.0 * x.powf(1.5)));
     assert!((exponent(points).unwrap() - 1.5).abs() < 1e-12);
     for x in [0.1, 3.0, 7.0, 4401.0, 281_721.0] {

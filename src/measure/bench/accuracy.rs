@@ -113,19 +113,13 @@ impl Options {
     fn check(&self) -> Result<(), Error> {
         let weak = |scene: &&Scene| Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong;
         if let Some(scene) = self.scenes.iter().find(weak) {
-            return Err(Error::input(
-                scene.file.display().to_string(),
-                "the errors are those of strong coupling",
-                "add --set solver.coupling=strong",
-            ));
+            let (problem, cure) = ("the errors are those of strong coupling", "add --set solver.coupling=strong");
+            return Err(Error::input(scene.file.display().to_string(), problem, cure));
         }
         let fits = |grid: &usize| (10..=320).contains(grid) && grid.is_multiple_of(10);
         if let Some(grid) = self.grids.iter().find(|grid| !fits(grid)) {
-            return Err(Error::input(
-                format!("--grids {grid}"),
-                "walls and surfaces of the problems do not lie on faces of such cells",
-                "give multiples of 10 up to 320",
-            ));
+            let problem = "walls and surfaces of the problems do not lie on faces of such cells";
+            return Err(Error::input(format!("--grids {grid}"), problem, "give multiples of 10 up to 320"));
         }
         if self.scenes.is_empty() && self.grids.is_empty() {
             let cure = "give a scene file or more, or grids: --grids 10,20,40";
@@ -167,13 +161,13 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
-            let key = row! { scene: scene.name.as_str(), frame: frame };
+            let key = row! { scene: scene.name.as_str(), frame };
             cases.push(Case::new("accuracy", key, move |run| states::measure(run, scene, frame, options)));
         }
     }
     for &(_, problem) in Exact::NAMES {
         for &grid in &options.grids {
-            let key = row! { problem: problem.name(), grid: grid };
+            let key = row! { problem: problem.name(), grid };
             cases.push(Case::new("accuracy_grids", key, move |run| problem.measure(run, grid, options)));
         }
     }
@@ -241,10 +235,14 @@ pub fn recommended<'r>(rows: &[&'r Row], targets: &[f64], error: impl Fn(&Row) -
     found
 }
 
-/// The larger of both errors; NaN if one is.
+/// The larger of both errors; NaN if one is not a number. Where a dam is removed the error of p alone.
 fn error(row: &Row) -> f64 {
-    let others = ["error_v", "error_u"].into_iter().filter(|name| row.has(name));
-    others.map(|name| row.number(name)).fold(row.number("error_p"), larger)
+    let other = match row.text("problem") {
+        "" => row.number("error_v"),
+        _ if row.has("error_u") => row.number("error_u"),
+        _ => 0.0,
+    };
+    larger(row.number("error_p"), other)
 }
 
 /// Rows with the least time per target, and the loosest tolerances that do not increase the errors of the grids.
@@ -257,7 +255,7 @@ pub fn derive(tables: &mut [Table]) {
         let solved = rows(tables, table).iter().filter(|row| is_solved(row.text("status")));
         let groups = grouped(solved, |row| Some(row.only(key)));
         let found = groups.iter().flat_map(|(_, rows)| recommended(rows, targets, error));
-        let found = found.map(|(target, row)| row.clone().with(row! { target: target })).collect();
+        let found = found.map(|(target, row)| row.clone().with(row! { target })).collect();
         replace(tables, best, found);
     }
     let key = ["problem", "grid", "precision", "grid_error_p", "grid_error_u"];

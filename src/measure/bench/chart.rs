@@ -23,9 +23,7 @@ pub(crate) enum Page {
 /// Lines over two logarithmic axes.
 #[derive(Clone, Debug)]
 pub(crate) struct Chart {
-    /// Title.
     pub(crate) title: String,
-    /// Names of the axes.
     pub(crate) axes: [&'static str; 2],
     /// Names and points; names of the thesis's numbers begin with `printed`.
     pub(crate) lines: Vec<(String, Vec<[Spread; 2]>)>,
@@ -36,14 +34,10 @@ pub(crate) struct Chart {
 /// Name of a bar, its parts (name, start, end), and the place of its mark.
 pub(crate) type Bar = (String, Vec<(String, f64, f64)>, f64);
 
-/// Horizontal bars.
 #[derive(Clone, Debug)]
 pub(crate) struct Bars {
-    /// Title.
     pub(crate) title: String,
-    /// Name of the axis.
     pub(crate) axis: &'static str,
-    /// Its bars.
     pub(crate) bars: Vec<Bar>,
     /// Whether the parts have a key.
     pub(crate) key: bool,
@@ -150,7 +144,6 @@ fn side([from, to]: [f64; 2], at: usize) -> [(f64, SegmentValue<usize>); 2] {
     [(from, SegmentValue::Exact(at)), (to, SegmentValue::Exact(at + 1))]
 }
 
-/// Draws the key.
 fn key<'a, CT: CoordTranslate>(
     labels: &mut plotters::chart::SeriesLabelStyle<'a, '_, SVGBackend<'a>, CT>,
 ) -> Result<(), Failure> {

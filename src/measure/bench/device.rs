@@ -46,7 +46,7 @@ pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Res
                 Some(measure) => Some(measure(tiny, run.settings.repeats)?),
             };
             let row = |Spread { median, min, max }| {
-                row! { quantity: name, unit: unit, median: median, min: min, max: max }
+                row! { quantity: name, unit, median, min, max }
             };
             Ok(measured.map(|it| ("device", row(it))).into_iter().collect())
         })
@@ -122,7 +122,6 @@ pub(super) fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error>
     rate(gpu, repeats, &copy, bytes / 16, (2 * bytes) as f64)
 }
 
-/// Operations per second of fused multiply-adds.
 fn arithmetic(gpu: &Gpu, real: Real, repeats: usize) -> Result<Spread, Error> {
     let target = RealBuffer::new(gpu, "bench.target", THREADS, real)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("multiply_add"), real)?;

@@ -23,7 +23,7 @@ use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::State;
 
-pub use left_out::{EFFECTS, Effect, IsKind, PROBES};
+pub use left_out::{EFFECTS, Effect, PROBES};
 use pairs::{Cost, Pair};
 
 /// Row of the control, copied by all absent effects: the scene against itself with these effects removed. Bytes and dispatches must be equal.
@@ -110,16 +110,9 @@ pub fn costs(row: &Row) -> bool {
 }
 
 fn failure(row: &Row) -> String {
-    let [bytes, dispatches, solve, differ] = COUNTS.map(|name| row.number(name));
-    format!(
-        "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {} pairs), \
-         kernels: {}; seconds {:.2e}, more in {} pairs",
-        row.text("scene"),
-        row.count("pairs"),
-        row.text("kernels"),
-        row.number("seconds_added"),
-        row.count("slower"),
-    )
+    let names = COUNTS.into_iter().chain(["kernels", "seconds_added", "pairs", "slower"]);
+    let numbers: Vec<String> = names.map(|name| format!("{name} {}", row.get(name))).collect();
+    format!("effects that {} does not have cost something: {}", row.text("scene"), numbers.join(", "))
 }
 
 /// A scene or a reduced one, and the pairs of sub-steps of the whole scene with it.
@@ -220,18 +213,11 @@ fn scene_rows(scene: &Scene, options: &Options, frames: &Path) -> Result<Rows, E
     Ok(rows.into_iter().map(|row| ("effects", row)).chain(outputs).collect())
 }
 
-/// Kinds of probes of a scene.
-fn probe_kinds(scene: &Scene) -> Vec<&'static str> {
-    let has = |is: &IsKind| scene.probes.iter().any(|probe| is(&probe.kind));
-    PROBES.iter().filter(|(_, is)| has(is)).map(|(name, _)| *name).collect()
-}
-
-/// The scene without each of its effects, the control, and the scene itself. A single kind of probes is the effect `probes`.
+/// The scene without each of its effects, the control, and the scene itself.
 fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
-    let effects = Effects::of(scene);
     let (mut scenes, mut control) = (Vec::new(), scene.clone());
-    for effect in EFFECTS {
-        if !(effect.present)(&effects) {
+    for effect in EFFECTS.iter().chain(PROBES) {
+        if !(effect.present)(scene) {
             (effect.without)(&mut control);
             continue;
         }
@@ -242,28 +228,19 @@ fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
             scenes.push((effect.name, without));
         }
     }
-    let kinds = probe_kinds(scene);
-    for (name, is) in PROBES.iter().filter(|(name, _)| kinds.len() > 1 && kinds.contains(name)) {
-        let mut without = scene.clone();
-        without.probes.retain(|probe| !is(&probe.kind));
-        scenes.push((name, without));
-    }
     scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
     scenes.into_iter().map(|(name, scene)| Part::new(name, scene, &options.adapter)).collect()
 }
 
 fn rows(scene: &Scene, whole: &Part, parts: &[Part]) -> Vec<Row> {
-    let effects = Effects::of(scene);
     let part = |name: &str| parts.iter().find(|part| part.name == name);
     let control = part(ABSENT).expect("there is a control");
     let noise = part(ITSELF).and_then(|part| pairs::noise(&part.pairs));
-    let kinds = probe_kinds(scene);
-    let mut names: Vec<_> = EFFECTS.iter().map(|effect| (effect.name, (effect.present)(&effects))).collect();
-    names.push((COUPLING, effects.coupling));
-    names.extend(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
-    names.extend([(ABSENT, false), (ITSELF, true)]);
-    let rows = names.into_iter().map(|(effect, present)| {
-        let row = row! { scene: scene.name.as_str(), effect: effect, present: present };
+    let present = |effect: &Effect| (effect.name, (effect.present)(scene));
+    let names = EFFECTS.iter().map(present).chain([(COUPLING, Effects::of(scene).coupling)]);
+    let names = names.chain(PROBES.iter().map(present)).chain([(ABSENT, false), (ITSELF, true)]);
+    let rows = names.map(|(effect, present)| {
+        let row = row! { scene: scene.name.as_str(), effect, present };
         let compared = |pairs: &[Pair], without: &[&Part]| row.clone().with(compared(pairs, noise, whole, without));
         if !present {
             return compared(&control.pairs, &[control]);
@@ -273,8 +250,7 @@ fn rows(scene: &Scene, whole: &Part, parts: &[Part]) -> Vec<Row> {
             let pairs: Vec<Pair> = both.map(|(a, b)| pairs::against_both(*a, *b)).collect();
             return compared(&pairs, &[liquid, solids]);
         }
-        let only = (kinds == [effect]).then(|| part("probes")).flatten();
-        match part(effect).or(only) {
+        match part(effect) {
             Some(part) => compared(&part.pairs, &[part]),
             // No scene is left without it.
             None => row.with(row! { seconds_with: pairs::median(&control.pairs, 0), pairs: 0_usize }),

@@ -72,7 +72,6 @@ pub type Listener<'a> = &'a mut dyn FnMut(Event);
 /// Stem of a picture, and its drawing.
 type Picture = (&'static str, fn(&Results) -> Page);
 
-/// Declaration of a bench.
 pub(crate) struct Bench {
     /// Stem of its JSON file.
     pub(crate) name: &'static str,
@@ -148,10 +147,9 @@ fn by_key<S: Serializer>(tables: &[Table], to: S) -> Result<S::Ok, S::Error> {
 /// Rows, each with the name of its table.
 pub(crate) type Rows = Vec<(&'static str, Row)>;
 
-/// Measurement of a case.
 type Measure<'c> = Box<dyn FnMut(&mut Run) -> Result<Rows, Error> + 'c>;
 
-/// One case.
+/// A case that `measure` measures. A row with this key, in this table, marks it as measured.
 pub(crate) struct Case<'c> {
     table: &'static str,
     key: Row,
@@ -159,7 +157,6 @@ pub(crate) struct Case<'c> {
 }
 
 impl<'c> Case<'c> {
-    /// A case that `measure` measures. A row with this key, in this table, marks it as measured.
     pub(crate) fn new(
         table: &'static str,
         key: Row,
@@ -344,13 +341,13 @@ pub(crate) fn rounds<T>(
 /// Exponents of the growth of `seconds` along a size, for rows of one series.
 fn growth(members: &[&Row], size: &str) -> Option<Row> {
     let points = members.iter().map(|row| Some((row.number(size), row.spread("seconds")?)));
-    let exponents = statistics::Exponents::of(&points.collect::<Option<Vec<_>>>()?)?;
+    let [fit, last, low, high] = statistics::exponents(&points.collect::<Option<Vec<_>>>()?)?;
     let sizes = members.iter().map(|row| row.count(size));
     // Rows of one run have no spread.
     let spread = members.iter().all(|row| row.number("runs") > 1.0);
     Some(row! {
-        rows: members.len(), from: sizes.clone().min()?, to: sizes.max()?, exponent: exponents.fit, exponent_last: exponents.last,
-        exponent_low: spread.then_some(exponents.low), exponent_high: spread.then_some(exponents.high),
+        rows: members.len(), from: sizes.clone().min()?, to: sizes.max()?, exponent: fit, exponent_last: last,
+        exponent_low: spread.then_some(low), exponent_high: spread.then_some(high),
     })
 }
 

@@ -100,8 +100,8 @@ pub fn measure(
         let frames = seconds.len();
         let [low, median, high] = Spread::quartiles(seconds);
         row! {
-            scene: scene.name.as_str(), output: name, present: present, seconds: median, seconds_low: low, seconds_high: high,
-            bytes: bytes / frames as u64, frames: frames,
+            scene: scene.name.as_str(), output: name, present, seconds: median, seconds_low: low, seconds_high: high,
+            bytes: bytes / frames as u64, frames,
         }
     });
     let rows = rows.collect();

@@ -153,9 +153,9 @@ pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: List
             for &bricks in beams {
                 for solver in &options.solvers {
                     let key = row! {
-                        scene: if formulation == Formulation::Pressure { "base_block" } else { "base_scene" },
-                        grid: grid, bricks: bricks, formulation: formulation.name(), tolerance: solver.tolerance,
-                        preconditioner: solver.preconditioner, precision: solver.precision,
+                        scene: if formulation == Formulation::Pressure { "base_block" } else { "base_scene" }, grid, bricks,
+                        formulation: formulation.name(), tolerance: solver.tolerance, preconditioner: solver.preconditioner.name(),
+                        precision: solver.precision.name(),
                     };
                     let form = match formulation {
                         Formulation::Condensed => scene::Formulation::Condensed,
@@ -216,9 +216,7 @@ impl Reference {
         }
         let too_large = factor_bytes.filter(|bytes| *bytes > largest);
         let note = too_large.map_or(String::new(), |bytes| format!("factor of {:.1} GiB left out", bytes / GIB));
-        let size = row! {
-            rival: solver.name(), threads: rayon::current_num_threads(), rows: rows, entries: entries, factor_bytes: factor_bytes,
-        };
+        let size = row! { rival: solver.name(), threads: rayon::current_num_threads(), rows, entries, factor_bytes };
         // The device's limit of iterations does not apply.
         let settings = Solver { max_iterations: (10 * rows) as u32, ..*settings };
         Ok(Reference { solver, settings, size, note })
@@ -242,7 +240,7 @@ impl Reference {
             device_seconds: device.spread(), status: name, iterations: iterative.map(|ended| ended.iterations),
             turns: timed.map_or(0, |timed| timed.runs()), seconds: timed.map(|timed| timed.spread()),
             residual_p: ended.map(|ended| ended.residuals[0]), residual_v: ended.map(|ended| ended.residuals[1]),
-            ratio: timed.filter(|_| note.is_empty()).map(|timed| timed.ratio(device)), note: note,
+            ratio: timed.filter(|_| note.is_empty()).map(|timed| timed.ratio(device)), note,
         };
         row.with(self.size.clone())
     }
@@ -332,13 +330,13 @@ impl Measurement<'_> {
             Ok((seconds, (Some(again), traffic)))
         })?;
         let ([active_cells, nodes], seconds) = (system.sizes(), timed[0].spread());
-        let key = key.clone().with(row! { active_cells: active_cells, solid_nodes: nodes });
+        let key = key.clone().with(row! { active_cells, solid_nodes: nodes });
         let (status, bytes) = (ended.name(solver.tolerance), self.least_bytes(system, device, &solved)?);
         let own = row! {
-            status: status, iterations: ended.iterations, rounds: solved.parts[0].refinements, runs: timed[0].runs(), seconds: seconds,
-            residual_p: ended.residuals[0], residual_v: ended.residuals[1], cells_per_second: active_cells as f64 / seconds.median,
-            bytes: bytes, share_of_copy_bandwidth: run.results.machine.share(bytes, seconds.median),
-            idle_seconds: Spread::of(idle).median, device_bytes: allocated_bytes(gpu) - allocated,
+            status, iterations: ended.iterations, rounds: solved.parts[0].refinements, runs: timed[0].runs(), seconds,
+            residual_p: ended.residuals[0], residual_v: ended.residuals[1], cells_per_second: active_cells as f64 / seconds.median, bytes,
+            share_of_copy_bandwidth: run.results.machine.share(bytes, seconds.median), idle_seconds: Spread::of(idle).median,
+            device_bytes: allocated_bytes(gpu) - allocated,
         };
         let mut rows = vec![("solve", key.clone().with(own).with(traffic_counts(&timed[0].outcome.1)))];
         let mut others = timed[1..].iter();
@@ -383,7 +381,7 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
 /// Growth of each solver along cells, nodes or both.
 pub fn derive(tables: &mut [Table]) {
     let sample = |row: &Row, solver: &str, precision: &str, runs: &str| {
-        row.clone().with(row! { solver: row.get(solver), precision: precision, runs: row.get(runs) })
+        row.clone().with(row! { solver: row.get(solver), precision, runs: row.get(runs) })
     };
     let converged = |row: &&Row| row.text("status") == SolveStatus::Converged.name();
     let device = rows(tables, "solve").iter().filter(converged);
@@ -411,7 +409,7 @@ pub fn derive(tables: &mut [Table]) {
                 "cells" => (true, solids.then(|| row.count("solid_nodes"))),
                 _ => (own, Some(row.count("grid"))),
             };
-            belongs.then(|| (series(row).with(row! { along: along, fixed: fixed }), own))
+            belongs.then(|| (series(row).with(row! { along, fixed }), own))
         });
         for ((series, _), members) in groups {
             let points = members.iter().map(|row| (row.number(size), row.number("iterations")));

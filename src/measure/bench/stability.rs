@@ -153,7 +153,15 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     let mut run = Run::start(bench, machine, &request, settings, listener)?;
     let scenes = settings.out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::unwritten(&scenes, &problem))?;
-    run_limits(&mut run, &limits, options)?;
+    let table = "stability_limit";
+    let limits = limits.iter().filter(|limit| options.selects(&limit.name())).map(|limit| {
+        BenchCase::new(table, row! { name: limit.name() }, |_| Ok(vec![(table, limit.run(&options.backend)?)]))
+    });
+    run.cases(limits.collect())?;
+    let pairs = limit::step_lengths(run.results.rows(table));
+    if !pairs.is_empty() {
+        run.put(pairs.into_iter().map(|row| (table, row)).collect())?;
+    }
     cases.retain(|case| options.selects(&case.name));
     cases.iter().try_for_each(|case| case.write(&scenes))?;
     let known = cases.clone();
@@ -167,17 +175,6 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     })?;
     run.results.failures = failures(&run.results, &known);
     Ok(run.results)
-}
-
-/// Runs the selected cases of the limit of added mass.
-fn run_limits(run: &mut Run, limits: &[Limit], options: &Options) -> Result<(), Error> {
-    let table = "stability_limit";
-    let cases = limits.iter().filter(|limit| options.selects(&limit.name())).map(|limit| {
-        BenchCase::new(table, row! { name: limit.name() }, |_| Ok(vec![(table, limit.run(&options.backend)?)]))
-    });
-    run.cases(cases.collect())?;
-    let pairs = limit::step_lengths(run.results.rows(table));
-    if pairs.is_empty() { Ok(()) } else { run.put(pairs.into_iter().map(|row| (table, row)).collect()) }
 }
 
 /// A line per failed case.
@@ -307,11 +304,9 @@ impl Case {
     /// Its row before the first sub-step.
     pub fn row(&self, backend: &Backend) -> Row {
         row! {
-            name: self.name.as_str(), group: self.group(), varies: self.varies.as_str(), backend: backend.name(), cells: 0_usize, nodes: 0_usize,
-            steps: self.steps, sub_steps: 0_usize, expected: self.expected.name(), status: COMPLETED, passed: false, energy_ratio: 1.0,
-            energy_bound: MOST_ENERGY, energy_end: 1.0, elastic_ratio: 0.0, motion: 0.0, motion_bound: 0.0, solid_speed: 0.0,
-            solid_speed_bound: 0.0, liquid_speed: 0.0, liquid_speed_bound: 0.0, non_finite: 0_usize, volume_least: 1.0, volume_most: 1.0,
-            volume_drift: 0.0, lost: 0.0, min_det: 1.0, inverted: 0_usize, missed: 0_usize, unsettled: 0_usize, overlap: 0.0,
+            name: self.name.as_str(), group: self.group(), varies: self.varies.as_str(), backend: backend.name(), steps: self.steps,
+            expected: self.expected.name(), status: COMPLETED, energy_ratio: 1.0, energy_bound: MOST_ENERGY, energy_end: 1.0,
+            volume_least: 1.0, volume_most: 1.0, min_det: 1.0,
         }
     }
 }
@@ -350,12 +345,10 @@ pub fn name_misses(row: &mut Row) {
     }
 }
 
-/// Raises a number to the value.
 fn raise(row: &mut Row, name: &'static str, value: f64) {
     row.set(name, row.number(name).max(value));
 }
 
-/// Lowers a number to the value.
 fn lower(row: &mut Row, name: &'static str, value: f64) {
     row.set(name, row.number(name).min(value));
 }
@@ -416,10 +409,9 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         if let Some(coupling) = report.coupling {
             raise(row, "overlap", coupling.overlap_depth / scene.grid().dx);
         }
-        let most = report.solves().map(|solve| solve.iterations as usize).max().unwrap_or(0);
-        if most > row.count("most_iterations") {
-            row.set("most_iterations", most);
-        }
+        let most =
+            report.solves().map(|solve| solve.iterations as usize).fold(row.count("most_iterations"), usize::max);
+        row.set("most_iterations", (most > 0).then_some(most));
         let bad = non_finite(&state, &report);
         row.set("non_finite", bad);
         if bad > 0 {

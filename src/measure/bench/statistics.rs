@@ -69,37 +69,23 @@ pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
     Some(both / square)
 }
 
-/// Exponents of a power law through points with spreads.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Exponents {
-    /// Through all medians.
-    pub fit: f64,
-    /// Through the medians at the two largest x, where fixed costs count least.
-    pub last: f64,
-    /// Least fit through values within the spreads.
-    pub low: f64,
-    /// Largest.
-    pub high: f64,
-}
-
-impl Exponents {
-    /// Exponents of (x, spread of y); `None` where [`exponent`] has none.
-    pub fn of(points: &[(f64, Spread)]) -> Option<Exponents> {
-        let through = |value: &dyn Fn(f64, Spread) -> f64| exponent(points.iter().map(|&(x, y)| (x, value(x, y))));
-        let mut sizes: Vec<f64> = points.iter().map(|point| point.0).collect();
-        sizes.sort_by(f64::total_cmp);
-        sizes.dedup();
-        let before = *sizes.get(sizes.len().checked_sub(2)?)?;
-        let last = points.iter().filter(|point| point.0 >= before);
-        // The slope is a sum of the logarithms with weights that have the sign of x less its mean.
-        let middle = points.iter().map(|point| point.0.ln()).sum::<f64>() / points.len() as f64;
-        Some(Exponents {
-            fit: through(&|_, y| y.median)?,
-            last: exponent(last.map(|&(x, y)| (x, y.median)))?,
-            low: through(&|x, y| if x.ln() > middle { y.min } else { y.max })?,
-            high: through(&|x, y| if x.ln() > middle { y.max } else { y.min })?,
-        })
-    }
+/// Exponents of a power law through points (x, spread of y): through all medians; through the medians at the two largest x, where fixed costs count
+/// least; the least and the largest through values within the spreads. `None` where [`exponent`] has none.
+pub fn exponents(points: &[(f64, Spread)]) -> Option<[f64; 4]> {
+    let through = |value: &dyn Fn(f64, Spread) -> f64| exponent(points.iter().map(|&(x, y)| (x, value(x, y))));
+    let mut sizes: Vec<f64> = points.iter().map(|point| point.0).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.dedup();
+    let before = *sizes.get(sizes.len().checked_sub(2)?)?;
+    let last = points.iter().filter(|point| point.0 >= before);
+    // The slope is a sum of the logarithms with weights that have the sign of x less its mean.
+    let middle = points.iter().map(|point| point.0.ln()).sum::<f64>() / points.len() as f64;
+    Some([
+        through(&|_, y| y.median)?,
+        exponent(last.map(|&(x, y)| (x, y.median)))?,
+        through(&|x, y| if x.ln() > middle { y.min } else { y.max })?,
+        through(&|x, y| if x.ln() > middle { y.max } else { y.min })?,
+    ])
 }
 
 /// Items by key, in the order of first appearance; those without a key are left out.

@@ -115,7 +115,6 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     Ok(run.results)
 }
 
-/// Measurements of a scene.
 struct Record<'a> {
     case: &'a Case,
     /// Columns of the solids and of the bytes of all buffers, at the start of the last run.
@@ -126,7 +125,6 @@ struct Record<'a> {
     runs: Vec<Vec<Sample>>,
 }
 
-/// One sub-step.
 struct Sample {
     seconds: f64,
     report: StepReport,
@@ -173,7 +171,8 @@ impl Record<'_> {
             let (unknowns, iterations) = solve(report.liquid.map(|liquid| liquid.solve));
             let (solid_unknowns, solid_iterations) = solve(report.solid.map(|solid| solid.solve));
             let numbers = traffic_counts(&traffic).with(row! {
-                idle_seconds: traffic.idle_seconds, unknowns: unknowns, iterations: iterations, solid_unknowns: solid_unknowns, solid_iterations: solid_iterations, band_cells: path.band_cells()?,
+                idle_seconds: traffic.idle_seconds, unknowns, iterations, solid_unknowns, solid_iterations,
+                band_cells: path.band_cells()?,
             });
             samples.push(Sample { seconds, report, numbers, trace: path.gpu().take_trace() });
         }
@@ -183,11 +182,8 @@ impl Record<'_> {
             first.map(|first| samples.remove(first));
         }
         if samples.is_empty() {
-            return Err(Error::input(
-                format!("--frames {}", options.frames),
-                "the first sub-step of a kind is not counted, and there was no other",
-                "measure more frames",
-            ));
+            let problem = "the first sub-step of a kind is not counted, and there was no other";
+            return Err(Error::input(format!("--frames {}", options.frames), problem, "measure more frames"));
         }
         self.runs.push(samples);
         self.ensure_repeated()
@@ -214,16 +210,17 @@ impl Record<'_> {
             let runs: Vec<Vec<&Sample>> = self.runs.iter().map(|run| run.iter().filter(of_kind).collect()).collect();
             let first = &runs[0];
             let Some(last) = first.last() else { continue };
-            let key = self.case.key().with(row! { kind: kind });
+            let key = self.case.key().with(row! { kind });
             let sub_step = |n: usize| Spread::of(runs.iter().map(|run| run[n].seconds).collect()).median;
             let names = last.numbers.names();
             let means = Row::new(names.map(|name| (name, mean(first, &|sample| sample.numbers.number(name)).into())));
             let seconds = over_runs(&runs, &|sample| sample.seconds);
             let sizes = row! {
                 sub_steps: first.len(), simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(),
-                markers: last.report.liquid.map_or(0, |liquid| liquid.markers), runs: runs.len(), seconds: seconds,
+                markers: last.report.liquid.map_or(0, |liquid| liquid.markers), runs: runs.len(), seconds,
                 sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
-                cells_per_second: means.number("unknowns") / seconds.median, idle_seconds: over_runs(&runs, &|sample| sample.numbers.number("idle_seconds")).median,
+                cells_per_second: means.number("unknowns") / seconds.median,
+                idle_seconds: over_runs(&runs, &|sample| sample.numbers.number("idle_seconds")).median,
             };
             rows.push(("step", key.clone().with(self.sizes.clone()).with(means).with(sizes)));
             let names = first.iter().flat_map(|sample| &sample.report.seconds);
@@ -234,7 +231,7 @@ impl Record<'_> {
                     (true, false) => "host",
                 };
                 let row = key.clone().with(row! {
-                    stage: stage, where: place, seconds: over_runs(&runs, &|sample| stage_seconds(&sample.report, &[stage])),
+                    stage, where: place, seconds: over_runs(&runs, &|sample| stage_seconds(&sample.report, &[stage])),
                     dispatches: mean(first, &|sample| sample.trace.dispatches.iter().filter(|(name, _)| *name == stage).count() as f64),
                     waits: mean(first, &|sample| sample.trace.waits.iter().filter(|name| **name == stage).count() as f64),
                 });
@@ -245,7 +242,6 @@ impl Record<'_> {
     }
 }
 
-/// Mean over sub-steps.
 fn mean(samples: &[&Sample], value: &dyn Fn(&Sample) -> f64) -> f64 {
     samples.iter().map(|sample| value(sample)).sum::<f64>() / samples.len() as f64
 }
@@ -277,7 +273,7 @@ pub fn derive(tables: &mut [Table]) {
             let refined = members.iter().any(|row| nodes(row) != nodes(members[0]));
             let fixed = Some(fixed).filter(|fixed| *fixed != 0);
             if along != "both" || refined {
-                let names = series.with(row! { along: along, fixed: fixed });
+                let names = series.with(row! { along, fixed });
                 all.extend(growth(&members, size).map(|fit| fit.with(names)));
             }
         }

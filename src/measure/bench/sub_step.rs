@@ -23,7 +23,6 @@ pub(super) struct Solution {
     pub(super) velocity: Vec<[f64; 3]>,
 }
 
-/// Results of a sub-step.
 pub(super) struct Done {
     /// Seconds of the solve.
     pub(super) seconds: f64,
@@ -40,7 +39,6 @@ pub(super) struct Mask {
 }
 
 impl Mask {
-    /// Mask of a path after a sub-step.
     pub(super) fn new(path: &Reference) -> Mask {
         let (grid, cells) = (path.scene().grid(), &path.state().active);
         let open = &path.cut_cells().open;
@@ -133,9 +131,8 @@ pub(super) fn solve_columns(report: &StepReport, tolerance: f64, seconds: Spread
     // In a coupled solve each report has all iterations.
     let iterations: u32 = if report.touching() { solves[0].iterations } else { iterations.sum() };
     row! {
-        unknowns: unknowns(report.liquid.map(|liquid| liquid.solve)),
-        solid_unknowns: unknowns(report.solid.map(|solid| solid.solve)),
-        status: Ended::new(&solves).name(tolerance), iterations: iterations, seconds: seconds,
+        unknowns: unknowns(report.liquid.map(|liquid| liquid.solve)), solid_unknowns: unknowns(report.solid.map(|solid| solid.solve)),
+        status: Ended::new(&solves).name(tolerance), iterations, seconds,
     }
 }
 

@@ -8,7 +8,6 @@ use serde_json::Map;
 use super::statistics::Spread;
 use crate::Error;
 use crate::measure::{remove, write_csv};
-use crate::scene::{PatchPressure, Precision, Preconditioner};
 
 /// One value of a row; null where nothing was measured or a number is not finite.
 pub use serde_json::Value;
@@ -19,17 +18,6 @@ impl From<Spread> for Value {
         serde_json::json!({ "median": median, "min": min, "max": max })
     }
 }
-
-macro_rules! names {
-    ($($from:ty),*) => { $(
-        impl From<$from> for Value {
-            fn from(kind: $from) -> Value {
-                kind.name().into()
-            }
-        }
-    )* };
-}
-names!(Precision, Preconditioner, PatchPressure);
 
 /// Four digits for the terminal.
 fn short(value: &Value) -> String {
@@ -72,7 +60,6 @@ impl Row {
         }
     }
 
-    /// Names of the values.
     pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.0.keys().map(String::as_str)
     }
@@ -136,10 +123,12 @@ impl Row {
     }
 }
 
-/// A row of named values: `row! { grid: n, seconds: spread }`.
+/// A row of named values: `row! { grid: n, seconds }`, where a name alone is that of its variable.
 macro_rules! row {
-    ($($name:ident: $value:expr),* $(,)?) => {
-        $crate::measure::bench::table::Row::new([$((stringify!($name), $crate::measure::bench::table::Value::from($value))),*])
+    (@ $name:ident $value:expr) => { $crate::measure::bench::table::Value::from($value) };
+    (@ $name:ident) => { $crate::measure::bench::table::Value::from($name) };
+    ($($name:ident $(: $value:expr)?),* $(,)?) => {
+        $crate::measure::bench::table::Row::new([$((stringify!($name), $crate::measure::bench::table::row!(@ $name $($value)?))),*])
     };
 }
 pub(crate) use row;

@@ -118,7 +118,7 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     for problem in errors::PROBLEMS.iter().filter(|problem| options.has(problem.table)) {
         for patches in errors::PATCHES {
             for grid in options.grids(problem.table) {
-                let key = row! { table: problem.table, grid: grid, patch_pressure: patches };
+                let key = row! { table: problem.table, grid, patch_pressure: patches.name() };
                 cases.push(Case::new("thesis", key, move |run| problem.rows(run, patches, grid, options)));
             }
         }

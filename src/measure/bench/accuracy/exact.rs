@@ -106,8 +106,8 @@ impl Exact {
             let (tolerance, done) = (options.tolerances[job % n], &timed.outcome);
             let [error_p, error_u] = self.errors(&scene, &mask, done);
             let row = row! {
-                problem: self.name(), grid: grid, precision: paths[job / n].0, tolerance: tolerance, error_p: error_p,
-                grid_error_p: grid_p, error_u: rests.then_some(error_u), grid_error_u: rests.then_some(grid_u),
+                problem: self.name(), grid, precision: paths[job / n].0.name(), tolerance, error_p, grid_error_p: grid_p,
+                error_u: rests.then_some(error_u), grid_error_u: rests.then_some(grid_u),
             };
             ("accuracy_grids", row.with(solve_columns(&done.report, tolerance, timed.spread())))
         });

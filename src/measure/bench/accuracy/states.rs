@@ -122,13 +122,14 @@ impl<'a> Case<'a> {
         let (truth, truth_residual) = &variant.truth;
         let row = row! {
             scene: self.scene.name.as_str(), frame: self.state.frame, cells: self.scene.grid().n_cells(),
-            precision: variant.solver.precision, preconditioner: variant.solver.preconditioner,
-            formulation: touching.map_or("apart", |both| if both.condensed { "condensed" } else { "two-field" }), tolerance: tolerance,
+            precision: variant.solver.precision.name(), preconditioner: variant.solver.preconditioner.name(),
+            formulation: touching.map_or("apart", |both| if both.condensed { "condensed" } else { "two-field" }), tolerance,
             residual_p: solves[0].map_or(0.0, |solve| solve.residual), residual_v: solves[1].map_or(0.0, |solve| solve.residual),
             error_p: cells(&truth.pressure), error_v: nodes(&truth.velocity), step_error_p: cells(&self.exact.solution.pressure),
             step_error_v: nodes(&self.exact.solution.velocity),
             step_error_u: relative(&done.faces.concat(), &self.exact.faces.concat(), Some(&counts)), truth_residual: *truth_residual,
-            divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence), speed_over_g_dt: if fall > 0.0 { speed / fall } else { 0.0 },
+            divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence),
+            speed_over_g_dt: if fall > 0.0 { speed / fall } else { 0.0 },
         };
         row.with(solve_columns(report, tolerance, seconds))
     }

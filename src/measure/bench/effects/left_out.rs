@@ -10,7 +10,7 @@ pub struct Effect {
     /// Name, as in [`Effects`].
     pub name: &'static str,
     /// Whether a scene has it.
-    pub present: fn(&Effects) -> bool,
+    pub present: fn(&Scene) -> bool,
     /// Removes it and its dependents.
     pub without: fn(&mut Scene),
 }
@@ -20,7 +20,7 @@ macro_rules! effects {
         /// Effects that can be removed, in the order of [`Effects`].
         pub const EFFECTS: &[Effect] = &[$(Effect {
             name: stringify!($name),
-            present: |effects| effects.$name,
+            present: |scene| Effects::of(scene).$name,
             without: $without,
         }),*];
     };
@@ -99,13 +99,14 @@ fn change_solids(scene: &mut Scene, change: fn(&mut Solid)) {
     scene.solids.iter_mut().for_each(change);
 }
 
-/// Whether a probe is of a kind.
-pub type IsKind = fn(&ProbeKind) -> bool;
-
 macro_rules! probes {
     ($($name:literal: $kind:ident;)*) => {
-        /// Kinds of probes: the name of its row, and whether a probe is of it.
-        pub const PROBES: &[(&str, IsKind)] = &[$(($name, |kind| matches!(kind, ProbeKind::$kind { .. }))),*];
+        /// Kinds of probes.
+        pub const PROBES: &[Effect] = &[$(Effect {
+            name: $name,
+            present: |scene| scene.probes.iter().any(|probe| matches!(probe.kind, ProbeKind::$kind { .. })),
+            without: |scene| scene.probes.retain(|probe| !matches!(probe.kind, ProbeKind::$kind { .. })),
+        }),*];
     };
 }
 probes! {

@@ -79,7 +79,7 @@ pub(super) fn step_lengths(rows: &[Row]) -> Vec<Row> {
         let off = short.number("got") / long.number("got") - 1.0;
         let name = format!("{}_and_{}", long.text("name"), short.number("dt"));
         let passed = off.abs() <= TOLERANCE;
-        short.clone().with(row! { name: name, expected: long.number("got"), off: off, passed: passed })
+        short.clone().with(row! { name, expected: long.number("got"), off, passed })
     };
     pairs.map(row).collect()
 }
@@ -161,8 +161,8 @@ impl Limit {
         let off = got / expected - 1.0;
         let passed = off.abs() <= TOLERANCE && (got > 1.0) == (self.over > 1.0);
         Ok(row! {
-            name: self.name(), ratio: self.ratio(), omega_dt: self.omega_dt, dt: self.dt, over_limit: self.over, expected: expected,
-            got: got, off: off, tolerance: TOLERANCE, passed: passed,
+            name: self.name(), ratio: self.ratio(), omega_dt: self.omega_dt, dt: self.dt, over_limit: self.over, expected, got, off,
+            tolerance: TOLERANCE, passed,
         })
     }
 }

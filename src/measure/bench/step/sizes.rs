@@ -29,11 +29,8 @@ impl Case {
     /// balls, shells and filled surfaces are divided by it. Meshes from files do not change.
     pub fn new(mut scene: Scene, solids_scale: f64) -> Result<Case, Error> {
         if !(solids_scale.is_finite() && solids_scale > 0.0) {
-            return Err(Error::input(
-                format!("--solids-scale {solids_scale}"),
-                "not a scale",
-                "give numbers above 0, such as 0.5,1",
-            ));
+            let cure = "give numbers above 0, such as 0.5,1";
+            return Err(Error::input(format!("--solids-scale {solids_scale}"), "not a scale", cure));
         }
         for solid in &mut scene.solids {
             match &mut solid.mesh {

@@ -81,7 +81,6 @@ pub(super) struct Problem {
     printed: &'static Printed,
 }
 
-/// Both problems.
 pub(super) const PROBLEMS: [Problem; 2] = [
     Problem { table: "6.5", strain: TABLE_6_5, printed: &PRINTED_6_5 },
     Problem { table: "6.6", strain: TABLE_6_6, printed: &PRINTED_6_6 },
@@ -127,7 +126,7 @@ impl Problem {
                 Some(job) => ("gpu", paths[job].0),
             };
             let row = self.row(&scene, &mask, grid, timed.spread(), &timed.outcome);
-            ("thesis", row.with(row! { backend: backend, precision: precision, patch_pressure: patches }))
+            ("thesis", row.with(row! { backend, precision: precision.name(), patch_pressure: patches.name() }))
         });
         Ok(rows.collect())
     }
@@ -141,9 +140,8 @@ impl Problem {
         let ratio = [0, 1, 2].map(|of: usize| thesis[of].map(|printed| errors[of] / printed));
         let dx = scene.grid().dx;
         let row = row! {
-            table: self.table, grid: grid, dx: dx, error_p: error_p, error_v: error_v, error_u: error_u,
-            rms_v: norm(velocities) / (velocities.len() as f64).sqrt(), thesis_p: thesis[0], thesis_v: thesis[1], thesis_u: thesis[2],
-            ratio_p: ratio[0], ratio_v: ratio[1], ratio_u: ratio[2],
+            table: self.table, grid, dx, error_p, error_v, error_u, rms_v: norm(velocities) / (velocities.len() as f64).sqrt(),
+            thesis_p: thesis[0], thesis_v: thesis[1], thesis_u: thesis[2], ratio_p: ratio[0], ratio_v: ratio[1], ratio_u: ratio[2],
             error_p_over_weight: error_p / (PlaneStrain::WEIGHT * self.strain.distance(dx)),
         };
         row.with(solve_columns(&done.report, TOLERANCE, seconds))
@@ -171,9 +169,9 @@ pub(super) fn orders(rows: &[Row]) -> Vec<Row> {
     let mut orders = Vec::new();
     for (table, rows) in grouped(rows, |row| Some(row.text("table"))) {
         let printed = PROBLEMS.iter().filter(|problem| problem.table == table).flat_map(|problem| problem.printed);
-        let printed = printed.map(|&(grid, [p, v, u])| row! { grid: grid, error_p: p, error_v: v, error_u: u });
+        let printed = printed.map(|&(grid, [p, v, u])| row! { grid, error_p: p, error_v: v, error_u: u });
         let printed: Vec<Row> = printed.collect();
-        let thesis = row! { table: table, backend: "thesis", precision: "", patch_pressure: "cell" };
+        let thesis = row! { table, backend: "thesis", precision: "", patch_pressure: "cell" };
         orders.extend(order(&printed.iter().collect::<Vec<_>>()).map(|order| order.with(thesis)));
         let solved = rows.into_iter().filter(|row| is_solved(row.text("status")));
         let series = |row: &Row| row.only(&["table", "backend", "precision", "patch_pressure"]);

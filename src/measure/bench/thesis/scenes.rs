@@ -61,16 +61,14 @@ pub(super) fn cases(options: &Options, f64: bool) -> Result<Vec<Case<'_>>, Error
     for (number, (_, scene, ..)) in PRINTED.iter().enumerate() {
         let file = options.scenes.join(format!("{scene}.toml"));
         if !file.is_file() {
-            return Err(Error::input(
-                format!("--scenes {}", options.scenes.display()),
-                format!("{scene}.toml of table 6.1 is not there"),
-                "give the folder scenes of cutwater's source, or --tables without 6.1",
-            ));
+            let problem = format!("{scene}.toml of table 6.1 is not there");
+            let cure = "give the folder scenes of cutwater's source, or --tables without 6.1";
+            return Err(Error::input(format!("--scenes {}", options.scenes.display()), problem, cure));
         }
         for &precision in options.precisions.iter().filter(|&&precision| f64 || precision != Precision::F64) {
             let precision = format!("solver.precision={}", precision.name());
             let scene = Scene::load(&file, &[precision], options.scale)?;
-            let key = row! { scene: scene.name.as_str(), precision: scene.solver.precision };
+            let key = row! { scene: scene.name.as_str(), precision: scene.solver.precision.name() };
             cases.push(Case::new("thesis_scenes", key, move |_| {
                 Ok(vec![("thesis_scenes", measure(number, &scene, options)?)])
             }));
@@ -97,12 +95,12 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     let time: f64 = reports.iter().map(|report| report.dt).sum();
     let solids = simulation.solids();
     Ok(row! {
-        table: "6.1", name: name, scene: scene.name.as_str(), scale: scene.scale, precision: scene.solver.precision,
+        table: "6.1", name, scene: scene.name.as_str(), scale: scene.scale, precision: scene.solver.precision.name(),
         cells: scene.grid().n_cells(), thesis_cells: grid.pow(3), nodes: solids.rest.len(), thesis_nodes: nodes,
         elements: solids.elements.len(), thesis_elements: elements, sub_steps: reports.len(),
         touching: reports.iter().filter(|report| report.touching()).count(), status: ended.unwrap_or(converged),
-        seconds: spread(&|report| report.seconds_total),
-        projection: stages_spread(&PROJECTION), solve_median: stages_spread(&["solve"]).map(|solve| solve.median),
+        seconds: spread(&|report| report.seconds_total), projection: stages_spread(&PROJECTION),
+        solve_median: stages_spread(&["solve"]).map(|solve| solve.median),
         sub_steps_per_frame: reports.len() as f64 / (time * scene.time.frames_per_second),
     })
 }

@@ -149,7 +149,7 @@ pub(super) fn cases(options: &Options) -> Vec<BenchCase<'_>> {
             for &table in &tables {
                 // Nodes of a beam k bricks across and 7 k along.
                 let nodes = (size.1 + 1).pow(2) * (7 * size.1 + 1);
-                let (key, last) = (row! { table: table, grid: size.0, nodes: nodes, frame: frame }, Rc::clone(&last));
+                let (key, last) = (row! { table, grid: size.0, nodes, frame }, Rc::clone(&last));
                 cases.push(BenchCase::new("thesis_systems", key, move |run| {
                     let dam = dam_break(last.take(), size, frame, options)?;
                     let state = dam.state()?;
@@ -193,11 +193,8 @@ pub(super) fn ensure_frame(frame: u64) -> Result<(), Error> {
     if (1..=last).contains(&frame) {
         return Ok(());
     }
-    Err(Error::input(
-        format!("--frames {frame}"),
-        format!("the dam break has frames 1 to {last}"),
-        "give frames of these, such as 10,40,80",
-    ))
+    let problem = format!("the dam break has frames 1 to {last}");
+    Err(Error::input(format!("--frames {frame}"), problem, "give frames of these, such as 10,40,80"))
 }
 
 impl<'a> Case<'a> {
@@ -214,11 +211,8 @@ impl<'a> Case<'a> {
             }
         })?;
         let system = taken.ok_or_else(|| {
-            Error::input(
-                format!("--frames {}", state.frame),
-                "the water does not touch the beam then on such a grid, and there is no system of both",
-                "give later frames, such as 10,40,80",
-            )
+            let problem = "the water does not touch the beam then on such a grid, and there is no system of both";
+            Error::input(format!("--frames {}", state.frame), problem, "give later frames, such as 10,40,80")
         })?;
         let deformed = solid_matrices(solids, &Arc::new(BlockPattern::new(solids)), &path.state().displacement);
         let dt = time_step.dt;
@@ -237,9 +231,9 @@ impl<'a> Case<'a> {
     fn row(&self, table: &str, names: [&str; 4]) -> Row {
         let ([formulation, solver, backend, precision], solids) = (names, self.dam.solids());
         row! {
-            table: table, grid: self.size.0, nodes: solids.rest.len(), elements: solids.elements.len(), frame: self.state.frame,
-            dt: self.dt, sub_steps_per_frame: self.sub_steps_per_frame(), formulation: formulation, solver: solver, backend: backend,
-            precision: precision, unknowns: self.system.pressure.n_unknowns(), solid_unknowns: self.system.solid.n_unknowns(),
+            table, grid: self.size.0, nodes: solids.rest.len(), elements: solids.elements.len(), frame: self.state.frame, dt: self.dt,
+            sub_steps_per_frame: self.sub_steps_per_frame(), formulation, solver, backend, precision,
+            unknowns: self.system.pressure.n_unknowns(), solid_unknowns: self.system.solid.n_unknowns(),
         }
     }
 
@@ -264,7 +258,7 @@ impl<'a> Case<'a> {
                         _ => continue,
                     };
                     *row = row.clone().with(row! {
-                        nonzeros: nonzeros, log10_condest: condition.one_norm, log10_condition: condition.two_norm,
+                        nonzeros, log10_condest: condition.one_norm, log10_condition: condition.two_norm,
                         log10_condition_exact: condition.two_norm_exact,
                     });
                 }
@@ -304,50 +298,45 @@ impl<'a> Case<'a> {
         let mut sub_steps = vec![Vec::new(); devices.len()];
         let [grid, frame] = [self.size.0, self.state.frame as usize];
         let what = format!("solves of table {table}, grid {grid}, frame {frame}");
-        // Jobs: the other stages of the f64 path, the forms, the devices. Outcomes: reports, and whether the device used the Schur complement.
+        // Jobs: the other stages of the f64 path, the forms, the devices. Outcomes: form, solver and path, and the reports.
         let timed = rounds(run, &what, 1 + forms.len() + devices.len(), |job| {
             if job == 0 {
                 path.reset(self.state.clone())?;
                 let step = path.step(path.next_time_step())?;
                 let others = step.seconds_total - stage_seconds(&step, &[Stage::Solve.name()]);
-                return Ok((others, (Vec::new(), false)));
+                return Ok((others, ([""; 4], Vec::new())));
             }
             if let Some(&form) = forms.get(job - 1) {
                 let clock = Instant::now();
                 let found = solve_coupled(&self.system, form, &SolidSolver::new(solids), solids, &exact)?;
                 let seconds = clock.elapsed().as_secs_f64();
-                return Ok((seconds, (found.reports.to_vec(), false)));
+                let (name, solver) = match form {
+                    Form::Condensed => ("condensed", "multigrid CG"),
+                    form => form.name().split_once(", ").unwrap_or((form.name(), "")),
+                };
+                return Ok((seconds, ([name, solver, "cpu", "f64"], found.reports.to_vec())));
             }
             let device = job - 1 - forms.len();
-            let path = &mut devices[device].1;
+            let (precision, path) = &mut devices[device];
             let done = sub_step(path, self.state)?;
             path.write_state(self.state)?;
             sub_steps[device].push(path.step_observed(&mut |_, _| Ok(()))?.seconds_total);
             let condensed = done.report.coupling.is_some_and(|both| both.condensed);
+            let form = if condensed { "condensed" } else { "two-field" };
             let reports: Vec<SolveReport> = done.report.solves().collect();
-            Ok((done.seconds, (reports, condensed)))
+            Ok((done.seconds, ([form, "multigrid CG", "gpu", precision.name()], reports)))
         })?;
         let others = timed[0].spread();
         let mut rows: Vec<Row> = Vec::new();
         for (job, timed) in timed.iter().enumerate().skip(1) {
-            let (seconds, (reports, condensed)) = (timed.spread(), &timed.outcome);
-            let (names, sub_step) = match forms.get(job - 1) {
-                Some(form) => {
-                    let (name, solver) = match form {
-                        Form::Condensed => ("condensed", "multigrid CG"),
-                        form => form.name().split_once(", ").unwrap_or((form.name(), "")),
-                    };
-                    ([name, solver, "cpu", "f64"], seconds.plus(others))
-                }
-                None => {
-                    let device = job - 1 - forms.len();
-                    let form = if *condensed { "condensed" } else { "two-field" };
-                    ([form, "multigrid CG", "gpu", devices[device].0.name()], Spread::of(sub_steps[device].clone()))
-                }
+            let (seconds, (names, reports)) = (timed.spread(), &timed.outcome);
+            let sub_step = match job.checked_sub(1 + forms.len()) {
+                None => seconds.plus(others),
+                Some(device) => Spread::of(sub_steps[device].clone()),
             };
-            let row = self.row(table, names).with(row! {
+            let row = self.row(table, *names).with(row! {
                 status: Ended::new(reports).name(TOLERANCE), iterations: reports[0].iterations, residual_p: reports[0].residual,
-                residual_v: reports[1].residual, seconds: seconds, frame_seconds: sub_step.times(self.sub_steps_per_frame()),
+                residual_v: reports[1].residual, seconds, frame_seconds: sub_step.times(self.sub_steps_per_frame()),
             });
             // `auto` may have selected the same form.
             if !rows.iter().any(|other| series(other) == series(&row)) {
@@ -418,8 +407,8 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
             let thesis = printed(table, quantity, grid, nodes, form);
             let thesis = thesis.filter(|_| !minres && quantity != "log10_condition");
             means.push(line.clone().with(row! {
-                quantity: quantity, states: values.len(), mean: mean, low: low, high: high, least: states.min, largest: states.max,
-                thesis: thesis, ratio: thesis.map(|thesis| plain(quantity, mean) / plain(quantity, thesis)),
+                quantity, states: values.len(), mean, low, high, least: states.min, largest: states.max, thesis,
+                ratio: thesis.map(|thesis| plain(quantity, mean) / plain(quantity, thesis)),
             }));
         }
     }
@@ -430,7 +419,7 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
 pub(super) fn growth(means: &[Row]) -> Vec<Row> {
     let groups = grouped(means, |mean| {
         let nodes = if mean.text("table") == "6.2" { Value::Null } else { mean.get("nodes") };
-        Some(series(mean).with(row! { quantity: mean.get("quantity"), nodes: nodes }))
+        Some(series(mean).with(row! { quantity: mean.get("quantity"), nodes }))
     });
     let fits = groups.into_iter().filter_map(|(line, means)| {
         let quantity = line.text("quantity");
@@ -440,7 +429,7 @@ pub(super) fn growth(means: &[Row]) -> Vec<Row> {
         let thesis = exponent(printed.map(|mean| point(mean, "thesis")));
         let states = means.iter().map(|mean| mean.count("states")).min();
         let grids = means.iter().map(|mean| mean.count("grid"));
-        let fit = row! { coarsest: grids.clone().min(), finest: grids.max(), states: states, exponent: power, thesis: thesis };
+        let fit = row! { coarsest: grids.clone().min(), finest: grids.max(), states, exponent: power, thesis };
         Some(line.clone().with(fit))
     });
     fits.collect()
