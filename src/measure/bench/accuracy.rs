@@ -1,11 +1,8 @@
 //! `bench accuracy`: error against time of the solve.
 //!
-//! States of scenes (`states`): the sub-step after a frame is repeated from the same state with every precision, preconditioner, form and tolerance, in
-//! a shuffled order. The time of the solve includes its set-up. Errors refer to two exact solutions: that of the system which the device stores, and
-//! that of the same sub-step on the f64 path. Exact solutions are by sparse factors, with liquid above 60,000 unknowns by conjugate gradients. They
-//! are refined to 1e-13, or as far as rounding allows; above 1e-10 the bench fails.
-//!
-//! Problems on grids (`exact`): their pressure is known, so errors are those of grid and solve together.
+//! States of scenes (`states`): errors refer to two exact solutions, that of the system which the device stores, and that of the same sub-step on the
+//! f64 path. Both are refined to 1e-13, or as far as rounding allows. Problems on grids (`exact`): their pressure is known, so errors are those of grid
+//! and solve together. The time of a solve includes its set-up.
 
 mod exact;
 mod states;

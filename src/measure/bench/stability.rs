@@ -4,8 +4,8 @@
 //! The energy of a run, J, is kinetic, elastic and potential, by the diagnostics of each sub-step. Potential energy counts from the lowest corner of
 //! the domain. Backward Euler and the projection only dissipate. The advection adds g v dt / 2 per kg (`budget`).
 //!
-//! A run fails if an energy or a speed exceeds its bound (`budget`), or if a tenth of the liquid is lost. It fails if more than a hundredth of
-//! the sub-steps miss a tolerance or leave contacts unsettled. It also fails if a value is not finite or the simulation fails.
+//! A run fails if an energy or a speed exceeds its bound (`budget`), if a tenth of the liquid is lost, if more than a hundredth of the sub-steps miss a
+//! tolerance or leave contacts unsettled, if a value is not finite, or if the simulation fails.
 
 mod budget;
 mod cases;

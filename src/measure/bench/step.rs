@@ -10,7 +10,7 @@ use std::time::Instant;
 use super::chart::{Bars, Page};
 use super::statistics::{Spread, grouped};
 use super::sub_step::stage_seconds;
-use super::table::{Row, Table, Value, columns, row};
+use super::table::{Row, Table, columns, row};
 use super::{
     Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, allocated_bytes, growth, hashes, replace,
     rows, traffic_counts,
@@ -258,20 +258,18 @@ pub fn derive(tables: &mut [Table]) {
     for along in ["cells", "nodes", "both"] {
         let size = if along == "nodes" { "nodes" } else { "cells" };
         let groups = grouped(rows, |row| {
-            let series = row.only(&["scene", "kind"]);
-            let (nodes, cells) = (row.get("nodes"), row.get("cells"));
-            // Rounded, as scales are.
-            let ratio = (1e6 * row.number("scale") / row.number("solids_scale")).round();
-            Some(match along {
-                "cells" => (series, nodes, 0.0),
-                "nodes" => (series, cells, 0.0),
-                _ => (series, Value::Null, ratio),
-            })
+            let fixed = match along {
+                "cells" => row.get("nodes"),
+                "nodes" => row.get("cells"),
+                // Rounded, as scales are.
+                _ => (1e6 * row.number("scale") / row.number("solids_scale")).round().into(),
+            };
+            Some((row.only(&["scene", "kind"]), fixed))
         });
-        for ((series, fixed, _), members) in groups {
+        for ((series, fixed), members) in groups {
             let nodes = |row: &Row| row.get("nodes");
             let refined = members.iter().any(|row| nodes(row) != nodes(members[0]));
-            let fixed = Some(fixed).filter(|fixed| *fixed != 0);
+            let fixed = Some(fixed).filter(|fixed| along != "both" && *fixed != 0);
             if along != "both" || refined {
                 let names = series.with(row! { along, fixed });
                 all.extend(growth(&members, size).map(|fit| fit.with(names)));

@@ -140,22 +140,19 @@ pub struct Column {
     pub name: &'static str,
     /// Unit; empty for numbers without one and for names.
     pub unit: &'static str,
-    /// Meaning.
-    pub about: &'static str,
     /// Whether the terminal shows it.
     pub shown: bool,
     /// Whether it is three columns: `X_median`, `X_min`, `X_max`.
     pub spread: bool,
 }
 
-/// Columns: kind, one or more names, unit, meaning. Kinds: `-` in files only, `+` in the terminal too, `~` a spread.
+/// Columns: kind, one or more names, unit, and the meaning for the reader of the source. Kinds: `-` in files only, `+` in the terminal too, `~` a spread.
 macro_rules! columns {
     ($($(#[$doc:meta])* $list:ident { $($kind:tt $($name:ident),+ $unit:literal $about:literal;)* })*) => { $(
         $(#[$doc])*
         pub(crate) const $list: &[$crate::measure::bench::table::Column] = &[$($($crate::measure::bench::table::Column {
             name: stringify!($name),
             unit: $unit,
-            about: $about,
             shown: stringify!($kind).as_bytes()[0] != b'-',
             spread: stringify!($kind).as_bytes()[0] == b'~',
         },)+)*];

@@ -110,25 +110,25 @@ impl<'a> Case<'a> {
 
     fn row(&self, variant: &Variant, tolerance: f64, seconds: Spread, done: &Done) -> Row {
         let report = &done.report;
-        let liquid = report.liquid.map(|liquid| (liquid.solve, liquid.diagnosis));
-        let solves = [liquid.map(|(solve, _)| solve), report.solid.map(|solid| solid.solve)];
+        let liquid = report.liquid.map(|liquid| liquid.diagnosis);
+        let residual = |solve: Option<SolveReport>| solve.map_or(0.0, |solve| solve.residual);
         let touching = report.coupling.filter(|both| both.touching);
         let Solution { pressure, velocity } = &done.solution;
         let cells = |exact: &[f64]| relative(pressure, exact, Some(&self.mask.cells));
         let nodes = |exact: &[[f64; 3]]| relative(velocity.as_flattened(), exact.as_flattened(), None);
         let counts = self.mask.faces.concat();
         let fall = self.scene.domain.gravity.length() * self.dt;
-        let speed = liquid.map_or(0.0, |(_, diagnosis)| diagnosis.max_speed);
+        let speed = liquid.map_or(0.0, |diagnosis| diagnosis.max_speed);
         let (truth, truth_residual) = &variant.truth;
         let row = row! {
             scene: self.scene.name.as_str(), frame: self.state.frame, cells: self.scene.grid().n_cells(),
             precision: variant.solver.precision.name(), preconditioner: variant.solver.preconditioner.name(),
             formulation: touching.map_or("apart", |both| if both.condensed { "condensed" } else { "two-field" }), tolerance,
-            residual_p: solves[0].map_or(0.0, |solve| solve.residual), residual_v: solves[1].map_or(0.0, |solve| solve.residual),
+            residual_p: residual(report.liquid.map(|liquid| liquid.solve)), residual_v: residual(report.solid.map(|solid| solid.solve)),
             error_p: cells(&truth.pressure), error_v: nodes(&truth.velocity), step_error_p: cells(&self.exact.solution.pressure),
             step_error_v: nodes(&self.exact.solution.velocity),
             step_error_u: relative(&done.faces.concat(), &self.exact.faces.concat(), Some(&counts)), truth_residual: *truth_residual,
-            divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence),
+            divergence: liquid.map_or(0.0, |diagnosis| diagnosis.divergence),
             speed_over_g_dt: if fall > 0.0 { speed / fall } else { 0.0 },
         };
         row.with(solve_columns(report, tolerance, seconds))

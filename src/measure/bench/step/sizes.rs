@@ -48,9 +48,6 @@ impl Case {
 }
 
 /// Largest scale that fits on the adapter and into nine tenths of this machine's free memory, as `plan` computes it. `load`: the case at a scale.
-///
-/// # Errors
-/// Errors of `load` at scale 1, and [`Error::Limit`] and [`Error::Memory`] at the least grid.
 pub fn largest_scale(load: &dyn Fn(f64) -> Result<Case, Error>, adapter: &AdapterReport) -> Result<f64, Error> {
     let cells = load(1.0)?.scene.domain.cells;
     let fits = |scale: f64| {
