@@ -16,10 +16,9 @@ pub(super) struct SolidBytes {
     elements: f64,
     /// 3x3 blocks of the stiffness off its diagonal.
     blocks: f64,
-    /// Bytes of a scalar of velocities and residuals.
-    real: f64,
-    /// Bytes of a scalar of the preconditioner.
+    /// Bytes of a scalar of the preconditioner, and of velocities and residuals.
     inner: f64,
+    real: f64,
     /// Degree of the polynomial of the preconditioner.
     degree: f64,
     /// Nodes of the wet compliance, a dense matrix, where pressures are corrected alone.
@@ -27,7 +26,6 @@ pub(super) struct SolidBytes {
 }
 
 impl SolidBytes {
-    /// Sizes of solids on a device. `inner`, `real`: bytes of a scalar of the preconditioner and of the velocities.
     pub(super) fn new(solids: &Solids, [inner, real]: [f64; 2], degree: u32, wet_nodes: Option<usize>) -> SolidBytes {
         let (nodes, elements) = (solids.rest.len(), &solids.elements);
         let blocks = Incidence::new(nodes, elements).n_blocks() as f64;

@@ -113,20 +113,18 @@ impl Problem {
         let mut paths = open_paths(&scene, solvers, &state, &options.adapter)?;
         let what = format!("solves of table {}, {grid} cells along 1 m", self.table);
         let timed = rounds(run, &what, 1 + paths.len(), |job| {
-            let done = match job.checked_sub(1) {
-                None => reference_step(&mut reference, &state)?,
-                Some(job) => sub_step(&mut paths[job].1, &state)?,
+            let (backend, precision, done) = match job.checked_sub(1).map(|job| &mut paths[job]) {
+                None => ("cpu", Precision::F64, reference_step(&mut reference, &state)?),
+                Some((precision, path)) => ("gpu", *precision, sub_step(path, &state)?),
             };
-            Ok((done.seconds, done))
+            Ok((done.seconds, (backend, precision, done)))
         })?;
         let mask = Mask::new(&reference);
-        let rows = timed.into_iter().enumerate().map(|(job, timed)| {
-            let (backend, precision) = match job.checked_sub(1) {
-                None => ("cpu", Precision::F64),
-                Some(job) => ("gpu", paths[job].0),
-            };
-            let row = self.row(&scene, &mask, grid, timed.spread(), &timed.outcome);
-            ("thesis", row.with(row! { backend, precision: precision.name(), patch_pressure: patches.name() }))
+        let rows = timed.into_iter().map(|timed| {
+            let (backend, precision, done) = &timed.outcome;
+            let row = self.row(&scene, &mask, grid, timed.spread(), done);
+            let names = row! { backend: *backend, precision: precision.name(), patch_pressure: patches.name() };
+            ("thesis", row.with(names))
         });
         Ok(rows.collect())
     }
