@@ -1,7 +1,7 @@
 //! `compare`: these scenes pass it, and a value that is off does not.
 
 use cutwater::Error;
-use cutwater::measure::compare::{Comparison, compare};
+use cutwater::measure::compare::{Comparison, Place, Row, Worst, compare};
 use cutwater::reference::ActiveSurfaces;
 use cutwater::scene::Scene;
 use cutwater::sim::{Snapshot, SolidSnapshot};
@@ -268,4 +268,47 @@ sphere = { centre = [0.5, 0.13, 0.47], radius = 0.25 }
     );
     assert!(by_both > 0);
     assert!(found.is_empty(), "{found}");
+}
+
+/// Rows with so many numbers compared, all equal, and so many excused.
+fn comparison(rows: &[(&'static str, u64, u64)]) -> Comparison {
+    let row = |&(quantity, count, excused): &(&'static str, u64, u64)| {
+        let mut row = Row::default();
+        (row.stage, row.quantity, row.unit) = ("forces", quantity, "m/s");
+        (row.count, row.excused) = (count, excused);
+        row
+    };
+    Comparison { rows: rows.iter().map(row).collect(), steps: 1, adapter: String::new() }
+}
+
+#[test]
+fn excuses_have_a_cap() {
+    // A single decision may hang on a rounding however few there are; of 10,000 numbers, 20.
+    let within = comparison(&[("a", 10_000, 0), ("b", 9_980, 20), ("c", 3, 1)]);
+    assert!(within.verdict().is_ok(), "{:?}", within.verdict());
+    for (beyond, told) in [
+        ((9_979, 21), "b of forces: 21 excused and 9979 compared, 20 may be"),
+        ((100, 2), "b of forces: 2 excused and 100 compared, 1 may be"),
+        ((0, 1), "b of forces: 1 excused and 0 compared"),
+        ((0, 5_000), "b of forces: 5000 excused and 0 compared"),
+    ] {
+        let spoilt = comparison(&[("a", 10_000, 0), ("b", beyond.0, beyond.1), ("c", 3, 1)]);
+        let breached: Vec<bool> = spoilt.rows.iter().map(Row::breached).collect();
+        assert_eq!(breached, [false, true, false]);
+        let error = spoilt.verdict().unwrap_err();
+        assert_eq!(error.exit_code(), 1);
+        let message = error.to_string();
+        assert!(message.contains("1 of 3 quantities leave out") && message.contains(told), "{message}");
+    }
+}
+
+/// One is not hidden behind the other.
+#[test]
+fn differences_and_excuses_are_both_reported() {
+    let mut both = comparison(&[("a", 10, 0), ("b", 10, 7)]);
+    both.rows[0].worst = Some(Worst { gpu: f64::NAN, twin: 1.0, bound: 1.0, place: Place::Whole, step: 4 });
+    let message = both.verdict().unwrap_err().to_string();
+    for told in ["the worst is a of forces: NaN m/s", "sub-step 4", "b of forces: 7 excused"] {
+        assert!(message.contains(told), "{told}: {message}");
+    }
 }

@@ -14,7 +14,7 @@ use crate::grid::Grid;
 use crate::linalg::norm;
 use crate::reference::{
     self, ActiveCells, ActiveSurfaces, BlockPattern, Contacts, Formulation, RightHandSide as Inflow, SolidMatrices,
-    SolidRightHandSide, SolidSolver, SolidSystem,
+    SolidRightHandSide, SolidSolver, SolidSystem, TimeStep,
 };
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
@@ -52,24 +52,23 @@ pub(super) struct SolidComparison<'a> {
     dt: f64,
     /// Mean over the sub-step as on the device, m/s^2.
     gravity: DVec3,
-    /// Input of the stage.
-    before: SolidSnapshot,
+    /// Input of the stage: the fields of the device.
+    pub(super) before: SolidSnapshot,
     /// Matrices of the sub-step, after `solid_matrices`.
     matrices: Option<SolidMatrices>,
 }
 
 impl<'a> SolidComparison<'a> {
-    /// `None` for a scene without solids.
-    pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
-        let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else { return Ok(None) };
+    /// `before`: the solids at the start.
+    pub(super) fn new(scene: &'a Scene, path: &GpuPath, before: SolidSnapshot) -> Self {
         let grid = Grid { cells: scene.domain.cells, dx: f64::from(scene.grid().dx as f32) };
-        let solids = before.on_device(solids);
+        let solids = before.on_device(path.solids().expect("the scene has solids"));
         let mut obstacles = path.contact_field();
         obstacles.grid = grid;
         if !obstacles.moves() {
             obstacles.distance = rounded_to_f32(&obstacles.distance);
         }
-        Ok(Some(SolidComparison {
+        SolidComparison {
             scene,
             grid,
             obstacles,
@@ -81,13 +80,13 @@ impl<'a> SolidComparison<'a> {
             gravity: DVec3::ZERO,
             before,
             matrices: None,
-        }))
+        }
     }
 
-    /// Begins a sub-step of dt (s) with this gravity (m/s^2).
-    pub(super) fn begin(&mut self, path: &GpuPath, dt: f64, gravity: DVec3) {
-        self.gravity = gravity.as_vec3().as_dvec3();
-        let time = path.clock().time;
+    /// Begins a sub-step.
+    pub(super) fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
+        self.gravity = path.gravity(time_step).as_vec3().as_dvec3();
+        let (time, dt) = (path.clock().time, time_step.dt);
         if self.solids.set_load([time, time + dt]) {
             self.before.round_load(&mut self.solids);
         }
@@ -103,14 +102,8 @@ impl<'a> SolidComparison<'a> {
         }
     }
 
-    /// Compares the fields after a stage. `device`: the unchanged fields, input of the next stage.
-    pub(super) fn compare(
-        &mut self,
-        stage: Stage,
-        after: &SolidSnapshot,
-        device: Option<SolidSnapshot>,
-        both: Option<&Both>,
-    ) -> Result<(), Error> {
+    /// Compares the fields after a stage.
+    pub(super) fn compare(&mut self, stage: Stage, after: &SolidSnapshot, both: Option<&Both>) -> Result<(), Error> {
         self.table.stage = stage.name();
         match stage {
             Stage::MoveSolid => self.move_solid(after, both),
@@ -121,7 +114,6 @@ impl<'a> SolidComparison<'a> {
             Stage::Diagnose => self.diagnose(after),
             _ => {}
         }
-        self.before = device.unwrap_or_else(|| after.clone());
         Ok(())
     }
 
@@ -225,8 +217,9 @@ impl<'a> SolidComparison<'a> {
         let solids = &self.solids;
         let mut matrices = reference::solid_matrices(solids, &self.pattern, &after.displacement);
         let eps = unit(after.real);
-        let [mut ambiguous, mut gradients, mut moduli, mut element_forces, mut determinants] =
-            [(); 5].map(|()| Vec::new());
+        let (table, ambiguous) = (&mut self.table, ["|F - R| where R is ambiguous", ""]);
+        // This row comes first.
+        table.row(ambiguous);
         for element in 0..solids.elements.len() {
             let body = solids.body_of_element(element);
             let g = &solids.gradients[element];
@@ -235,7 +228,7 @@ impl<'a> SolidComparison<'a> {
             let error_f = eps * (8.0 * terms + 2.0);
             let mut error_r = error_f * condition(&matrices.deformations[element]) + 16.0 * eps;
             if error_r > AMBIGUOUS {
-                ambiguous.push(accept_rotation(solids, after, element, &mut matrices, 8.0 * eps * size));
+                table.add(ambiguous, [accept_rotation(solids, after, element, &mut matrices, 8.0 * eps * size)]);
                 error_r = 64.0 * eps * size;
             }
             let deformation = &matrices.deformations[element];
@@ -252,28 +245,19 @@ impl<'a> SolidComparison<'a> {
                 let steep = g[section + 1].length();
                 let bound = steep * (error_r + 4.0 * eps);
                 let [x, y, z, _] = gpu;
-                gradients.extend(components([x, y, z], rotated.into(), bound, place));
-                match twin_moduli.get(section) {
-                    Some(&twin) => moduli.push((gpu[3], twin, 6.0 * (EPS + eps) * twin, place)),
-                    None => {
-                        let bound = 4.0 * size * size * error_f + 12.0 * eps * size.powi(3);
-                        determinants.push((gpu[3], deformation.determinant(), bound, place));
-                    }
+                table.add(["rotated gradients", "1/m"], components([x, y, z], rotated.into(), bound, place));
+                if let Some(&twin) = twin_moduli.get(section) {
+                    let bound = 6.0 * (EPS + eps) * twin;
+                    table.add(["zeta_K V moduli", "N s m"], [(gpu[3], twin, bound, place)]);
                 }
                 let bound = 2.0 * stiffness * steep * strain;
                 let gpu = after.element_forces[section][element];
                 let twin = matrices.element_forces[element][section + 1];
-                element_forces.extend(components(gpu, twin.into(), bound, place));
+                table.add(["K x* - b of elements", "N"], components(gpu, twin.into(), bound, place));
             }
-        }
-        for (quantity, pairs) in [
-            (["|F - R| where R is ambiguous", ""], ambiguous),
-            (["rotated gradients", "1/m"], gradients),
-            (["zeta_K V moduli", "N s m"], moduli),
-            (["K x* - b of elements", "N"], element_forces),
-            (["det F", ""], determinants),
-        ] {
-            self.table.add(quantity, pairs);
+            let bound = 4.0 * size * size * error_f + 12.0 * eps * size.powi(3);
+            let [.., determinant] = after.rotated[2][element];
+            table.add(["det F", ""], [(determinant, deformation.determinant(), bound, place)]);
         }
         self.matrices = Some(matrices);
     }
@@ -376,9 +360,9 @@ impl<'a> SolidComparison<'a> {
         let mut area_error = 0.0;
         if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
             let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
-            size = size.max(COUPLING_SHARE * norm(&system.free_part(force.as_chunks().0)));
-            system.push(&force);
-            area_error = 4.0 * EPS * norm(&gross);
+            size = size.max(COUPLING_SHARE * norm(&system.free_part(bytemuck::cast_slice(&force))));
+            system.push(bytemuck::cast_slice(&force));
+            area_error = 4.0 * EPS * norm(bytemuck::cast_slice(&gross));
         }
         let solver = &self.scene.solver;
         let x = system.free_part(&after.velocity);

@@ -25,20 +25,6 @@ pub enum Place {
     Column(usize),
 }
 
-impl Place {
-    /// The place of a cell with a host index.
-    pub(super) fn cell(grid: &Grid, cell: usize) -> Place {
-        let ijk = grid.cell_at(cell);
-        Place::Cell(ijk, grid.cell_centre(ijk))
-    }
-
-    /// The place of a face with a host index.
-    pub(super) fn face(grid: &Grid, axis: Axis, face: usize) -> Place {
-        let ijk = grid.face_at(axis, face);
-        Place::Face(axis, ijk, grid.face_centre(axis, ijk))
-    }
-}
-
 impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let at = |x: &DVec3| format!("({:.4}, {:.4}, {:.4}) m", x.x, x.y, x.z);
@@ -203,21 +189,16 @@ impl Table {
         &mut self.rows[index]
     }
 
-    /// Adds pairs to a row.
-    pub(super) fn add(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = Pair>) {
+    /// Adds pairs to a row, and excuses those that are `None`.
+    pub(super) fn add<P: Into<Option<Pair>>>(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = P>) {
         let step = self.step;
         let row = self.row(quantity);
-        for (gpu, twin, bound, place) in pairs {
-            row.add(Worst { gpu, twin, bound, place, step });
+        for pair in pairs {
+            match pair.into() {
+                Some((gpu, twin, bound, place)) => row.add(Worst { gpu, twin, bound, place, step }),
+                None => row.excused += 1,
+            }
         }
-    }
-
-    /// Adds pairs to a row, and excuses those that are `None`.
-    pub(super) fn judge(&mut self, quantity: Quantity, pairs: impl IntoIterator<Item = Option<Pair>>) {
-        let mut excused = 0;
-        let compared = pairs.into_iter().inspect(|pair| excused += u64::from(pair.is_none()));
-        self.add(quantity, compared.flatten());
-        self.row(quantity).excused += excused;
     }
 
     /// Adds one number without a place: GPU, twin, bound.
@@ -232,17 +213,18 @@ impl Table {
         }
     }
 
-    /// Adds the numbers of each cell that has them.
-    pub(super) fn cells(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<Numbers>) {
-        self.judge_cells(quantity, |cell| numbers(cell).map(Some));
-    }
-
-    /// The same; `Some(None)` is excused.
-    pub(super) fn judge_cells(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<Option<Numbers>>) {
+    /// Adds the numbers of each cell that has them; `Some(None)` is excused.
+    pub(super) fn cells<N>(&mut self, quantity: Quantity, numbers: impl Fn(usize) -> Option<N>)
+    where
+        N: Into<Option<Numbers>>,
+    {
         let grid = self.grid;
-        let pair = |cell, (gpu, twin, bound)| (gpu, twin, bound, Place::cell(&grid, cell));
-        let cells = (0..grid.n_cells()).filter_map(|cell| Some(numbers(cell)?.map(|numbers| pair(cell, numbers))));
-        self.judge(quantity, cells);
+        let pair = |cell, (gpu, twin, bound)| {
+            let ijk = grid.cell_at(cell);
+            (gpu, twin, bound, Place::Cell(ijk, grid.cell_centre(ijk)))
+        };
+        let cells = (0..grid.n_cells()).filter_map(|cell| Some((cell, numbers(cell)?.into())));
+        self.add(quantity, cells.map(|(cell, numbers)| numbers.map(|numbers| pair(cell, numbers))));
     }
 
     /// Adds a flag of each cell on both paths.
@@ -250,19 +232,19 @@ impl Table {
         self.cells([quantity, "flag"], |cell| Some((number(gpu[cell]), number(twin[cell]), 0.0)));
     }
 
-    /// Adds the numbers of each face that has them, by axis and index.
-    pub(super) fn faces(&mut self, quantity: Quantity, numbers: impl Fn(usize, usize) -> Option<Numbers>) {
-        self.judge_faces(quantity, |axis, face| numbers(axis.index(), face).map(Some));
-    }
-
-    /// The same; `Some(None)` is excused.
-    pub(super) fn judge_faces(&mut self, quantity: Quantity, numbers: impl Fn(Axis, usize) -> Option<Option<Numbers>>) {
+    /// Adds the numbers of each face that has them, by axis and index; `Some(None)` is excused.
+    pub(super) fn faces<N>(&mut self, quantity: Quantity, numbers: impl Fn(usize, usize) -> Option<N>)
+    where
+        N: Into<Option<Numbers>>,
+    {
         let grid = self.grid;
         for axis in Axis::ALL {
-            let pair = |face, (gpu, twin, bound)| (gpu, twin, bound, Place::face(&grid, axis, face));
-            let faces = (0..grid.n_faces(axis))
-                .filter_map(|face| Some(numbers(axis, face)?.map(|numbers| pair(face, numbers))));
-            self.judge(quantity, faces);
+            let pair = |face, (gpu, twin, bound)| {
+                let ijk = grid.face_at(axis, face);
+                (gpu, twin, bound, Place::Face(axis, ijk, grid.face_centre(axis, ijk)))
+            };
+            let faces = (0..grid.n_faces(axis)).filter_map(|face| Some((face, numbers(axis.index(), face)?.into())));
+            self.add(quantity, faces.map(|(face, numbers)| numbers.map(|numbers| pair(face, numbers))));
         }
     }
 

@@ -11,7 +11,6 @@ use crate::grid::Axis;
 use crate::measure::bounds::{EPS, level_error, maccormack_error, marker_error};
 use crate::reference::{self, LevelCells, Levels, Markers, REACH, UNKNOWN};
 use crate::sim::{LevelSnapshot, LiquidSnapshot};
-use crate::step::Stage;
 
 /// Patterns of signs for inputs that are moved by their rounding.
 const PATTERNS: u32 = 12;
@@ -25,7 +24,12 @@ const PASSES: f64 = 12.0;
 const THIN_ERROR: f64 = 4e-4;
 
 /// The liquid after a stage, and its level before and after.
-type Change<'a> = (&'a LiquidSnapshot, &'a LevelSnapshot, &'a LevelSnapshot);
+#[derive(Clone, Copy)]
+pub(super) struct Change<'a> {
+    pub(super) after: &'a LiquidSnapshot,
+    pub(super) before: &'a LevelSnapshot,
+    pub(super) now: &'a LevelSnapshot,
+}
 
 /// Values moved by an amount, up or down.
 fn moved(values: &[f64], by: f64, pattern: u32) -> Vec<f64> {
@@ -49,27 +53,6 @@ fn judged(gpu: f64, twin: f64, bound: f64, others: impl Iterator<Item = f64>) ->
 }
 
 impl LiquidComparison<'_> {
-    /// Compares the fields after a stage of the level. Not all of `stage` are.
-    pub(super) fn level(&mut self, stage: Stage, after: &LiquidSnapshot) {
-        let Some((before, now)) = self.before.level.clone().zip(after.level.as_ref()) else { return };
-        let all = (after, &before, now);
-        match stage {
-            Stage::AdvectLevel => self.advect_level(after, now),
-            Stage::Occupancy => self.occupancy(all),
-            Stage::BoundLevel => self.bound_level(all),
-            Stage::Redistance => self.redistance(all),
-            Stage::FilterLevel => self.filter_level(all),
-            Stage::LiquidDistance => self.level_distance(after, &before),
-            Stage::LiquidComponents => self.liquid_components(after, now),
-            Stage::VolumeShift => self.volume_shift(after, now),
-            Stage::Excess => self.excess(all),
-            Stage::MarkerBand => self.marker_band(all),
-            Stage::Landing => self.landing(after, &before),
-            Stage::Spray => self.spray(all),
-            _ => {}
-        }
-    }
-
     fn level_cells(&self) -> LevelCells<'_> {
         LevelCells { grid: &self.grid, cut: &self.cut }
     }
@@ -87,7 +70,7 @@ impl LiquidComparison<'_> {
     /// Compares the cells of the band. `twins`: from the inputs, and from inputs moved by their rounding.
     fn band_cells(&mut self, quantity: Quantity, after: &LiquidSnapshot, gpu: &[f64], twins: &[Vec<f64>], bound: f64) {
         let [twin, others @ ..] = twins else { return };
-        self.table.judge_cells(quantity, |cell| {
+        self.table.cells(quantity, |cell| {
             after.band[cell].then(|| judged(gpu[cell], twin[cell], bound, others.iter().map(|other| other[cell])))
         });
     }
@@ -120,7 +103,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Bound: [`level_error`].
-    fn advect_level(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot) {
+    pub(super) fn advect_level(&mut self, Change { after, now, .. }: Change) {
         let (grid, dt) = (self.grid, self.dt());
         let velocity = &self.before.velocity;
         let level = self.in_cells(&self.before.liquid_distance);
@@ -188,24 +171,28 @@ impl LiquidComparison<'_> {
     }
 
     /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
-    pub(super) fn maccormack(
-        &mut self,
-        after: &LiquidSnapshot,
-        (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3]),
-        (velocity, given): (&[Vec<f64>; 3], f64),
-    ) {
-        let (grid, dt) = (self.grid, self.dt());
-        let ballistic = self.ballistic();
+    pub(super) fn maccormack(&mut self, after: &LiquidSnapshot) {
+        let (grid, dt, open) = (self.grid, self.dt(), &self.open_to_advection(after));
+        let mut velocity = self.before.velocity.clone();
+        let mut given = 0.0;
+        if !self.taps.faces.is_empty() {
+            let fall = 0.5 * dt * self.gravity();
+            // A velocity of a source is rounded, and so are product and difference.
+            given = 3.0 * EPS * (reference::max_speed(&velocity) + fall.abs().max_element());
+            reference::rewind_sources(&self.taps, &self.cut.open, self.running.running, fall, &mut velocity);
+        }
+        let (velocity, ballistic) = (&velocity, self.ballistic());
         let carried = reference::advect_velocity(&grid, open, velocity, &ballistic, dt);
         let bound = maccormack_error(&grid, open, (velocity, given), &carried, dt);
         let times = [dt, self.courant];
         let advect = |velocity: &_, near: &_| reference::advect_velocity_maccormack(&grid, open, velocity, near, times);
+        let twin = advect(velocity, &ballistic);
         let mut others: Vec<[Vec<f64>; 3]> =
             (0..PATTERNS).map(|pattern| advect(&moved_faces(velocity, bound, pattern), &ballistic)).collect();
         others.extend(self.near_ballistic().map(|near| advect(velocity, &near)));
         let settled = self.settled(after);
-        self.table.judge_faces(["u*", "m/s"], |axis, face| {
-            let a = axis.index();
+        self.table.faces(["u*", "m/s"], |a, face| {
+            let axis = Axis::ALL[a];
             // A face on a side of the domain may lie in a tile beyond the band.
             let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
             let inside = after.face_band[a][face] && sides.all(|cell| settled[cell]);
@@ -215,23 +202,22 @@ impl LiquidComparison<'_> {
     }
 
     /// Markers of a level: liquid by the midpoint rule, spray on its parabola. Push-out of obstacles adds the error of the distance and of its normal.
-    pub(super) fn advect_level_markers(&mut self, after: &LiquidSnapshot) {
-        let Some(level) = self.before.level.clone() else { return };
+    pub(super) fn advect_level_markers(&mut self, Change { after, before, .. }: Change) {
         let (grid, dt, gravity) = (self.grid, self.dt(), self.gravity());
         let (velocity, ballistic) = (&self.before.velocity, self.ballistic());
         let pushed = if self.effects().cuts() { 3.0 * 64.0 * grid.dx } else { 0.0 };
         let advect = |slot: usize, start: [f64; 3]| {
             let mut one = Markers {
                 position: vec![start],
-                velocity: vec![level.marker_velocity[slot]],
-                spray: vec![level.spray[slot]],
+                velocity: vec![before.marker_velocity[slot]],
+                spray: vec![before.spray[slot]],
             };
             let (sides, falls) = (self.scene.domain.open, (gravity, &ballistic));
             reference::advect_level_markers(&grid, sides, velocity, &self.cut.solid_distance, falls, dt, &mut one);
             one.position.first().copied()
         };
         let fall = gravity.length() * dt;
-        let fastest = largest(level.marker_velocity.iter().flatten().map(|v| v.abs())) + fall;
+        let fastest = largest(before.marker_velocity.iter().flatten().map(|v| v.abs())) + fall;
         let bound =
             marker_error(&grid, velocity, dt) + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
         let markers = [&self.before.markers[..], &after.markers];
@@ -239,7 +225,7 @@ impl LiquidComparison<'_> {
     }
 
     /// A weight is a product of three differences from 1, each off by the roundings of a position in cells, rounded to 2^-20.
-    fn occupancy(&mut self, (after, before, now): Change) {
+    pub(super) fn occupancy(&mut self, Change { after, before, now }: Change) {
         let grid = self.grid;
         let markers = self.markers_of_level(before);
         let (solid, at, spray) = (&self.cut.solid_distance, &markers.position, &markers.spray);
@@ -277,7 +263,7 @@ impl LiquidComparison<'_> {
     }
 
     /// A root of 1 - |q| near 0 spreads its rounding; the smoothed occupancy is a mean of 27.
-    fn bound_level(&mut self, (after, before, now): Change) {
+    pub(super) fn bound_level(&mut self, Change { after, before, now }: Change) {
         let carried = self.with_air(after, &before.carried);
         let occupancy = &before.occupancy;
         let bounded = |occupancy: &[f64], thin: &[bool]| {
@@ -295,7 +281,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Each pass adds the roundings of a root of sums of squares.
-    fn redistance(&mut self, (after, before, now): Change) {
+    pub(super) fn redistance(&mut self, Change { after, before, now }: Change) {
         let level = self.with_air(after, &before.level);
         let bound = PASSES * PASS * EPS * REACH;
         let twins = self.twins(&level, bound, |level| {
@@ -306,7 +292,7 @@ impl LiquidComparison<'_> {
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
-    fn filter_level(&mut self, (after, before, now): Change) {
+    pub(super) fn filter_level(&mut self, Change { after, before, now }: Change) {
         let level = self.with_air(after, &before.level);
         let [thin, others @ ..] = self.thin(&self.with_air(after, &before.carried));
         let bound = PASS * EPS * REACH;
@@ -318,7 +304,7 @@ impl LiquidComparison<'_> {
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
-    fn level_distance(&mut self, after: &LiquidSnapshot, before: &LevelSnapshot) {
+    pub(super) fn level_distance(&mut self, Change { after, before, .. }: Change) {
         let dx = self.grid.dx;
         let level = self.with_air(after, &before.level);
         let bound = PASSES * PASS * EPS * REACH;
@@ -333,17 +319,19 @@ impl LiquidComparison<'_> {
         self.twin.distance_bounds = vec![bound * dx; self.grid.n_cells()];
     }
 
+    /// Components of a liquid distance, m.
+    fn components_of(&self, distance: &[f64]) -> reference::Components {
+        reference::liquid_components(&self.grid, &self.cut.open, &self.open_volumes, &self.in_cells(distance))
+    }
+
     /// Labels depend on signs alone, which are equal. Where a cell comes from may hang on a rounding, which moves a cell between targets.
-    fn liquid_components(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot) {
-        let grid = self.grid;
-        let level = self.in_cells(&after.liquid_distance);
-        let (open, volumes) = (&self.cut.open, &self.open_volumes);
-        let twin = reference::liquid_components(&grid, open, volumes, &level);
+    pub(super) fn liquid_components(&mut self, Change { after, now, .. }: Change) {
+        let twin = self.components_of(&after.liquid_distance);
         self.table.cells(["component", ""], |cell| Some((now.component[cell].into(), twin.label[cell].into(), 0.0)));
         let whole: f64 = now.component_volume.iter().sum();
         let slots = now.spray.iter().zip(&after.markers);
         let flying = slots.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
-        let one = grid.cell_volume();
+        let one = self.grid.cell_volume();
         let mut total = f64::from(self.step.volume_0) - flying as f64 * one / 8.0;
         if self.effects().exchange() {
             let of_step = after.report.exchanged;
@@ -368,17 +356,14 @@ impl LiquidComparison<'_> {
     }
 
     /// The shift is a quotient of sums, whose relative error is that of the volume over what the liquid lacks.
-    fn volume_shift(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot) {
-        let grid = self.grid;
-        let level = self.in_cells(&self.before.liquid_distance);
-        let (open, volumes) = (&self.cut.open, &self.open_volumes);
-        self.components = reference::liquid_components(&grid, open, volumes, &level);
-        let components = &self.components;
+    pub(super) fn volume_shift(&mut self, Change { after, now, .. }: Change) {
+        self.components = self.components_of(&self.before.liquid_distance);
+        let (grid, components) = (self.grid, &self.components);
         let times = [f64::from(self.step.control_time), self.dt()];
         let limits = (times, reference::largest_shift(self.courant));
         let shifted = |targets: &[f64]| {
             let mut distance = self.before.liquid_distance.clone();
-            reference::volume_shift(&grid, volumes, components, targets, limits, &mut distance);
+            reference::volume_shift(&grid, &self.open_volumes, components, targets, limits, &mut distance);
             distance
         };
         let targets = &now.component_volume;
@@ -396,7 +381,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Two times 27 weights and a quotient by at least 0.05.
-    fn excess(&mut self, (after, before, now): Change) {
+    pub(super) fn excess(&mut self, Change { after, before, now }: Change) {
         let level = self.in_cells(&after.liquid_distance);
         let mut components = self.components.clone();
         components.label.clone_from(&now.component);
@@ -414,7 +399,7 @@ impl LiquidComparison<'_> {
     }
 
     /// Deleted and seeded markers. A sample of the level near the depth of the band may be on either side of it.
-    fn marker_band(&mut self, (after, before, now): Change) {
+    pub(super) fn marker_band(&mut self, Change { after, before, now }: Change) {
         let grid = self.grid;
         let mut markers = self.markers_of_level(before);
         let n_before = markers.position.len();
@@ -441,7 +426,7 @@ impl LiquidComparison<'_> {
 
     /// A weight has three roundings of a position in cells and is divided by a sum of at least 1/256; both paths round it to 2^-16. What
     /// faces hang on a rounding of a plane of cell centres is excused.
-    fn landing(&mut self, after: &LiquidSnapshot, before: &LevelSnapshot) {
+    pub(super) fn landing(&mut self, Change { after, before, .. }: Change) {
         let (grid, dt) = (self.grid, self.dt());
         let phi = &after.liquid_distance;
         let level = self.in_cells(phi);
@@ -464,9 +449,9 @@ impl LiquidComparison<'_> {
             around.flat_map(|around| around.weights()).for_each(|(face, _)| near[face] += 1.0);
             near
         });
-        self.table.judge_faces(["u*", "m/s"], |axis, face| {
-            let (a, near) = (axis.index(), near[axis.index()][face]);
-            let mass = reference::face_mass(&grid, &volumes, axis, face).max(1e-3);
+        self.table.faces(["u*", "m/s"], |a, face| {
+            let near = near[a][face];
+            let mass = reference::face_mass(&grid, &volumes, Axis::ALL[a], face).max(1e-3);
             let off = near / 8.0 * weight * (fastest + grid.dx / dt) / mass;
             let bound = off.min(2.0 * fastest) + 400.0 * EPS * fastest * near.min(1.0);
             let (gpu, twin) = (after.velocity_next[a][face], faces[a][face]);
@@ -476,7 +461,7 @@ impl LiquidComparison<'_> {
     }
 
     /// A marker within its rounding of a plane of cell centres may have other cells around it. Velocities: a trilinear sample.
-    fn spray(&mut self, (after, before, now): Change) {
+    pub(super) fn spray(&mut self, Change { after, before, now }: Change) {
         let grid = self.grid;
         let mut twin = self.markers_of_level(before);
         let (phi, velocity) = (&after.liquid_distance, &after.velocity);
@@ -499,7 +484,7 @@ impl LiquidComparison<'_> {
                 velocities.extend(components(now.marker_velocity[slot], twin.velocity[index], bound, place));
             }
         }
-        self.table.judge(["spray", "flag"], flags);
+        self.table.add(["spray", "flag"], flags);
         self.table.add(["marker velocity", "m/s"], velocities);
     }
 

@@ -6,6 +6,7 @@ mod pressure;
 use glam::DVec3;
 use rayon::prelude::*;
 
+use level::Change;
 use pressure::unit_system;
 
 use super::table::{Numbers, Pair, Place, Quantity, Table, components, flag, number};
@@ -53,8 +54,8 @@ pub(super) struct LiquidComparison<'a> {
     /// [`TimeStep::courant`] on the device.
     courant: f64,
     pub(super) table: Table,
-    /// Input of the stage.
-    before: LiquidSnapshot,
+    /// Input of the stage: the fields of the device.
+    pub(super) before: LiquidSnapshot,
     /// Results of earlier twins of the sub-step.
     twin: Twin,
 }
@@ -86,23 +87,21 @@ struct Twin {
 }
 
 impl<'a> LiquidComparison<'a> {
-    /// `None` for a scene without liquid.
-    pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
-        let step = path.step_numbers(TimeStep::NONE);
-        let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else { return Ok(None) };
+    /// `before`: the liquid at the start.
+    pub(super) fn new(scene: &'a Scene, path: &GpuPath, before: LiquidSnapshot) -> Self {
+        let step = path.step_numbers(TimeStep::NONE).expect("the scene has liquid");
         let grid = Grid { cells: scene.domain.cells, dx: step.dx.into() };
         let cut = path.cut_cells();
         let cut = CutCells {
             open: [0, 1, 2].map(|axis| rounded_to_f32(&cut.open[axis])),
             solid_distance: rounded_to_f32(&cut.solid_distance),
         };
-        let taps = path.taps().map(|(taps, _)| taps.clone());
-        Ok(Some(LiquidComparison {
+        LiquidComparison {
             scene,
             grid,
             open_volumes: reference::open_volumes(&grid, &cut.solid_distance),
             cut,
-            taps: taps.unwrap_or_default(),
+            taps: path.taps().map(|(taps, _)| taps.clone()).unwrap_or_default(),
             running: Running::default(),
             lattices: Vec::new(),
             renewed: 0.0,
@@ -116,7 +115,7 @@ impl<'a> LiquidComparison<'a> {
                 ..Twin::default()
             },
             before,
-        }))
+        }
     }
 
     /// Unknowns and E u* (m^3/s) as the device stores them, and as the twins assemble them. For use before `solve` is compared.
@@ -137,9 +136,7 @@ impl<'a> LiquidComparison<'a> {
         }
         self.table.step = path.clock().step;
         self.courant = f64::from(time_step.courant as f32);
-        if let Some(step) = path.step_numbers(time_step) {
-            self.step = step;
-        }
+        self.step = path.step_numbers(time_step).expect("the scene has liquid");
         if let Some((_, running)) = path.taps() {
             self.running = running;
             let (grid, dt) = (self.scene.grid(), time_step.dt);
@@ -153,38 +150,51 @@ impl<'a> LiquidComparison<'a> {
         Ok(())
     }
 
-    /// Compares the fields after a stage. `device`: the unchanged fields, input of the next stage; `clip`: twin of the clipping.
+    /// Compares the fields after a stage. `clip`: twin of the clipping.
     pub(super) fn compare(
         &mut self,
         stage: Stage,
         after: &LiquidSnapshot,
-        device: Option<LiquidSnapshot>,
         clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
         self.table.stage = stage.name();
-        match stage {
-            Stage::Clip => self.clip(after, clip),
-            _ if self.effects().level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
-            Stage::AdvectMarkers => self.advect_markers(after),
-            Stage::Exchange => self.exchange(after),
-            Stage::AdvectVelocity => self.advect_velocity(after),
-            Stage::Forces => self.forces(after),
+        let before = self.before.level.clone();
+        let level = before.as_ref().zip(after.level.as_ref()).map(|(before, now)| Change { after, before, now });
+        match (stage, level) {
+            (Stage::Clip, _) => self.clip(after, clip),
+            (Stage::AdvectMarkers, None) => self.advect_markers(after),
+            (Stage::AdvectMarkers, Some(change)) => self.advect_level_markers(change),
+            (Stage::Exchange, _) => self.exchange(after),
+            (Stage::AdvectLevel, Some(change)) => self.advect_level(change),
+            (Stage::AdvectVelocity, _) if self.effects().maccormack => self.maccormack(after),
+            (Stage::AdvectVelocity, _) => self.advect_velocity(after),
+            (Stage::Forces, _) => self.forces(after),
+            (Stage::Occupancy, Some(change)) => self.occupancy(change),
+            (Stage::BoundLevel, Some(change)) => self.bound_level(change),
+            (Stage::Redistance, Some(change)) => self.redistance(change),
+            (Stage::FilterLevel, Some(change)) => self.filter_level(change),
             // A fixed surface stays.
-            Stage::LiquidDistance if self.effects().markers && !self.effects().level => self.liquid_distance(after),
-            Stage::ActiveCells => self.active_cells(after, both),
-            Stage::RightHandSide => self.right_hand_side(after, clip, both),
-            Stage::Solve => self.solve(after, both)?,
-            Stage::WriteBack => self.write_back(after),
-            Stage::Extrapolate => self.extrapolate(after, clip, both),
-            Stage::Diagnose => {
+            (Stage::LiquidDistance, None) if self.effects().markers => self.liquid_distance(after),
+            (Stage::LiquidDistance, Some(change)) => self.level_distance(change),
+            (Stage::LiquidComponents, Some(change)) => self.liquid_components(change),
+            (Stage::VolumeShift, Some(change)) => self.volume_shift(change),
+            (Stage::Excess, Some(change)) => self.excess(change),
+            (Stage::MarkerBand, Some(change)) => self.marker_band(change),
+            (Stage::Landing, Some(change)) => self.landing(change),
+            (Stage::ActiveCells, _) => self.active_cells(after, both),
+            (Stage::RightHandSide, _) => self.right_hand_side(after, clip, both),
+            (Stage::Solve, _) => self.solve(after, both)?,
+            (Stage::WriteBack, _) => self.write_back(after),
+            (Stage::Extrapolate, _) => self.extrapolate(after, clip, both),
+            (Stage::Spray, Some(change)) => self.spray(change),
+            (Stage::Diagnose, _) => {
                 self.diagnose(after, clip, both);
                 self.probes(after);
             }
             // The band selects where the others work; a wrong band shows in their rows.
-            _ => self.level(stage, after),
+            _ => {}
         }
-        self.before = device.unwrap_or_else(|| after.clone());
         Ok(())
     }
 
@@ -255,15 +265,8 @@ impl<'a> LiquidComparison<'a> {
 
     /// Adds the rows of [`advected`] markers.
     fn add_advected(&mut self, rows: Vec<Advected>) {
-        let compared = rows.iter().filter(|(.., excused)| !excused);
-        let gone = compared.map(|(gpu, twin, _, at, _)| flag(gpu.is_none(), twin.is_none(), *at));
-        self.table.add(["markers gone", "flag"], gone);
-        let positions = rows.iter().flat_map(|&(gpu, twin, bound, place, excused)| match gpu.zip(twin) {
-            _ if excused => vec![None; 3],
-            Some((gpu, twin)) => components(gpu, twin, bound, place).map(Some).to_vec(),
-            None => Vec::new(),
-        });
-        self.table.judge(["positions", "m"], positions);
+        self.table.add(["markers gone", "flag"], rows.iter().filter_map(|(gone, _)| *gone));
+        self.table.add(["positions", "m"], rows.into_iter().flat_map(|(_, positions)| positions));
     }
 
     /// Deletion and emission depend on the cell of a marker; one within its rounding of a border may be in either cell.
@@ -277,10 +280,30 @@ impl<'a> LiquidComparison<'a> {
             let (gone, sinks) = (gpu.is_none(), sink(x));
             (gone == sinks || !at_border(x)).then(|| flag(gone, sinks, Place::Marker(slot, x.into())))
         });
-        self.table.judge(["markers sunk", "flag"], pairs);
-        let kept: Vec<[f64; 3]> = old.filter_map(|(.., gpu)| *gpu).collect();
-        let borders = kept.iter().filter(|&&x| at_border(x)).count();
-        self.emission(after, kept, n_before, borders);
+        self.table.add(["markers sunk", "flag"], pairs);
+        let mut kept: Vec<[f64; 3]> = old.filter_map(|(.., gpu)| *gpu).collect();
+        let (n_kept, borders) = (kept.len(), kept.iter().filter(|&&x| at_border(x)).count());
+        let (taps, running, walls) = (&self.taps, self.running, &self.cut.solid_distance);
+        // A level fills its sources by volume.
+        let filled = if self.effects().level {
+            let walls = reference::closed_to_markers(walls, &after.liquid_distance, grid.dx);
+            reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
+            None
+        } else {
+            Some(reference::seed_markers(&grid, taps, running, walls, &mut kept).filled)
+        };
+        let twin = &kept[n_kept..];
+        let gpu: Vec<[f64; 3]> = after.markers.iter().skip(n_before).copied().flatten().collect();
+        if gpu.len() != twin.len() && gpu.len().abs_diff(twin.len()) <= borders {
+            self.table.add(["new positions", "m"], [None::<Pair>]);
+            return;
+        }
+        let quantity = ["markers emitted", ""];
+        self.table.whole(quantity, gpu.len() as f64, twin.len() as f64, 0.0);
+        if let Some(filled) = filled {
+            self.table.whole(quantity, after.report.filled.into(), filled as f64, 0.0);
+        }
+        self.new_positions(n_before, &gpu, twin);
     }
 
     /// Slots up to the last one with a marker before the stage.
@@ -298,59 +321,17 @@ impl<'a> LiquidComparison<'a> {
         self.table.add(["new positions", "m"], positions);
     }
 
-    /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders.
-    fn emission(&mut self, after: &LiquidSnapshot, mut kept: Vec<[f64; 3]>, n_before: usize, borders: usize) {
-        let (grid, n_kept) = (self.grid, kept.len());
-        let (taps, running, walls) = (&self.taps, self.running, &self.cut.solid_distance);
-        // A level fills its sources by volume.
-        let filled = if self.effects().level {
-            let walls = reference::closed_to_markers(walls, &after.liquid_distance, grid.dx);
-            reference::emit_markers(&grid, taps, running, &self.lattices, &walls, &mut kept);
-            None
-        } else {
-            Some(reference::seed_markers(&grid, taps, running, walls, &mut kept).filled)
-        };
-        let twin = &kept[n_kept..];
-        let gpu: Vec<[f64; 3]> = after.markers.iter().skip(n_before).copied().flatten().collect();
-        if gpu.len() != twin.len() && gpu.len().abs_diff(twin.len()) <= borders {
-            self.table.judge(["new positions", "m"], [None]);
-            return;
-        }
-        let quantity = ["markers emitted", ""];
-        self.table.whole(quantity, gpu.len() as f64, twin.len() as f64, 0.0);
-        if let Some(filled) = filled {
-            self.table.whole(quantity, after.report.filled.into(), filled as f64, 0.0);
-        }
-        self.new_positions(n_before, &gpu, twin);
+    /// Apertures for the advection of velocities, as the device has them.
+    fn open_to_advection(&self, after: &LiquidSnapshot) -> [Vec<f64>; 3] {
+        open_to_advection(&self.cut.open, |axis, face| after.face_band[axis.index()][face])
     }
 
     /// Bound: [`advection_error`].
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
-        let dt = self.dt();
-        let mut velocity = self.before.velocity.clone();
-        // A velocity of a source is rounded, and so are product and difference.
-        let mut given = 0.0;
-        if self.effects().maccormack && !self.taps.faces.is_empty() {
-            let fall = 0.5 * dt * self.gravity();
-            given = 3.0 * EPS * (reference::max_speed(&velocity) + fall.abs().max_element());
-            reference::rewind_sources(&self.taps, &self.cut.open, self.running.running, fall, &mut velocity);
-        }
-        let velocity = &velocity;
-        let open = &open_to_advection(&self.cut.open, |axis, face| after.face_band[axis.index()][face]);
-        let bound = advection_error(&self.grid, open, (velocity, given), dt);
-        let ballistic = self.ballistic();
-        let advected = |of: &Ballistic| {
-            if self.effects().maccormack {
-                reference::advect_velocity_maccormack(&self.grid, open, velocity, of, [dt, self.courant])
-            } else {
-                reference::advect_velocity(&self.grid, open, velocity, of, dt)
-            }
-        };
-        let twin = advected(&ballistic);
-        if self.effects().maccormack {
-            self.maccormack(after, (&twin, open), (velocity, given));
-            return;
-        }
+        let (velocity, open, dt) = (&self.before.velocity, &self.open_to_advection(after), self.dt());
+        let bound = advection_error(&self.grid, open, (velocity, 0.0), dt);
+        let advected = |of: &Ballistic| reference::advect_velocity(&self.grid, open, velocity, of, dt);
+        let twin = advected(&self.ballistic());
         let others: Vec<_> = self.near_ballistic().map(|other| advected(&other)).collect();
         let bounds =
             |a: usize, face: usize| bound + largest(others.iter().map(|other| (other[a][face] - twin[a][face]).abs()));
@@ -413,7 +394,7 @@ impl<'a> LiquidComparison<'a> {
         let agrees = |cell: usize, other: &[f64]| (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
         // Outside the band the device stores air without a distance.
         let distance = |of: &[f64], cell: usize| if after.band[cell] || of[cell] < 0.0 { of[cell] } else { dx };
-        self.table.judge_cells(["phi", "m"], |cell| {
+        self.table.cells(["phi", "m"], |cell| {
             let excused = differs(cell) && other.as_ref().is_some_and(|other| agrees(cell, other));
             Some((!excused).then(|| (distance(gpu, cell), distance(&twin, cell), bounds[cell])))
         });
@@ -437,9 +418,9 @@ impl<'a> LiquidComparison<'a> {
         let gone = after.report.left + after.report.sunk;
         let volume_0 = reference::volume_without(self.step.volume_0.into(), gone.into(), kept);
         let (control_time, dt) = (f64::from(self.step.control_time), self.dt());
-        let (mut twin, mut bound) = (0.0, 0.0);
+        let twin = reference::volume_rate(volume_0, volume, control_time, dt);
+        let mut bound = 0.0;
         if volume_0 > 0.0 && volume > 0.0 {
-            twin = reference::volume_rate(volume_0, volume, control_time, dt);
             let quotient = if after.real == Real::F32 { 6.0 * EPS } else { 0.0 };
             let relative = quotient + volume_bound / volume;
             // The slope of the rate, without its limits.
@@ -509,7 +490,7 @@ impl<'a> LiquidComparison<'a> {
         }
         self.twin.rhs_of_liquid.clone_from(&rhs);
         if let Some(both) = both {
-            let [flux, gross] = both.flux(grid.dx, &closed);
+            let [flux, gross, _] = both.flux(grid.dx, &closed);
             rhs.iter_mut().zip(flux).for_each(|(b, flux)| *b -= flux);
             reference::remove_means(&active.closed, &mut rhs);
             bound += 4.0 * EPS * largest(gross);
@@ -547,8 +528,9 @@ impl<'a> LiquidComparison<'a> {
         let mut twin = u_star.clone();
         let mut valid = reference::write_back(&system, potential, &open, phi, self.theta_floor(), &mut twin);
         reference::carry_faces(&self.taps, &self.cut.open, self.running.running, &mut twin, &mut valid);
-        let flags = |a: usize, face: usize| Some((number(after.valid[a][face]), number(valid[a][face]), 0.0));
-        self.table.faces(["valid faces", "flag"], flags);
+        self.table.faces(["valid faces", "flag"], |a, face| {
+            Some((number(after.valid[a][face]), number(valid[a][face]), 0.0))
+        });
         self.table.faces(["u", "m/s"], |a, face| {
             let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
             let change = (twin - u_star[a][face]).abs();
@@ -582,13 +564,12 @@ impl<'a> LiquidComparison<'a> {
         let blended = if self.effects().cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
         let cut = self.effects().cuts().then_some(&self.cut);
-        self.table.judge_faces(["u", "m/s"], |axis, face| {
-            let a = axis.index();
+        self.table.faces(["u", "m/s"], |a, face| {
             // Outside the band the device has no velocities, not even those of bodies.
             let twin = if after.face_band[a][face] { twin[a][face] } else { 0.0 };
             let gpu = after.velocity[a][face];
             let slip = match cut.filter(|cut| cut.open[a][face] == 0.0) {
-                Some(cut) => slip_roundings(&grid, &cut.solid_distance, axis, face),
+                Some(cut) => slip_roundings(&grid, &cut.solid_distance, Axis::ALL[a], face),
                 None => Some(0.0),
             };
             // With free slip or without it, no face is faster than a vector of three such components.
@@ -609,16 +590,15 @@ impl<'a> LiquidComparison<'a> {
         let phi = filled.as_ref().unwrap_or(&after.liquid_distance);
         let (density, gravity) = (f64::from(self.step.density), self.gravity());
         let stencil = after.active_cells(&grid).stencil;
-        let (mut boundary_flux, mut area_error) = (None, 0.0);
+        let (mut boundary_flux, mut area_error) = (vec![0.0; grid.n_cells()], 0.0);
         if let Some(both) = both {
-            let [flux, gross] = both.flux(grid.dx, &after.active);
-            let area = grid.dx * grid.dx;
-            boundary_flux = Some(flux.into_iter().map(|flux| area * flux).collect::<Vec<_>>());
+            let [flux, gross, _] = both.flux(grid.dx, &after.active);
+            boundary_flux = flux.into_iter().map(|flux| grid.dx * grid.dx * flux).collect();
             area_error = 4.0 * EPS * largest(gross) / grid.dx;
             self.diagnose_coupling(after, both);
         }
         for &(cell, flux) in clip.map_or(&[][..], |clip| clip.obstacles().flux()) {
-            boundary_flux.get_or_insert_with(|| vec![0.0; grid.n_cells()])[cell] += flux;
+            boundary_flux[cell] += flux;
             area_error = area_error.max(4.0 * EPS * flux.abs() / grid.cell_volume());
         }
         let (cut, velocity) = (&self.cut, &after.velocity);
@@ -626,7 +606,7 @@ impl<'a> LiquidComparison<'a> {
         // Separated cells open.
         let masked = after.separated.contains(&true).then(|| stencil.masked(&after.separated));
         let solved = masked.as_ref().unwrap_or(&stencil);
-        let left = reference::divergence(&open, velocity, solved, boundary_flux.as_deref());
+        let left = reference::divergence(&open, velocity, solved, Some(&boundary_flux));
         let mut twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
         let spray = after.spray();
         reference::add_spray(&grid, (density, gravity), spray.iter().copied(), &mut twin);
@@ -664,9 +644,9 @@ impl<'a> LiquidComparison<'a> {
     fn diagnose_coupling(&mut self, after: &LiquidSnapshot, both: &Both) {
         let Some(report) = both.report else { return };
         let [force, gross] = both.force(self.pascal());
-        let sums = |values: &[f64]| values.as_chunks::<3>().0.iter().map(|force| DVec3::from(*force)).sum::<DVec3>();
-        let bound = (4.0 * EPS + 64.0 * unit(after.real)) * sums(&gross).length();
-        self.table.add(["J^T p", "N"], components(report.force, sums(&force).into(), bound, Place::Whole));
+        let [force, gross] = [force, gross].map(|nodes| nodes.into_iter().sum::<DVec3>());
+        let bound = (4.0 * EPS + 64.0 * unit(after.real)) * gross.length();
+        self.table.add(["J^T p", "N"], components(report.force, force.into(), bound, Place::Whole));
         self.table.add(["touching", "flag"], [flag(report.touching, both.touch(), Place::Whole)]);
     }
 
@@ -707,12 +687,8 @@ impl<'a> LiquidComparison<'a> {
                     let area = sides[(axis + 1) % 3] * sides[(axis + 2) % 3];
                     (["flux", "m^3/s"], read(&twin), area * self.twin.velocity_bound, 1e-12)
                 }
-                // Both paths evaluate them by the same function of the nodes, which have their own rows.
-                ProbeKind::Node { .. }
-                | ProbeKind::Solid { .. }
-                | ProbeKind::SolidVelocity { .. }
-                | ProbeKind::Force { .. }
-                | ProbeKind::Reaction { .. } => continue,
+                // Both paths evaluate those of the solids by the same function of the nodes, which have their own rows.
+                _ => continue,
             };
             for (gpu, twin) in read(&gpu).into_iter().zip(twin) {
                 let bound = bound + rounding * gpu.abs();
@@ -744,8 +720,8 @@ fn slip_roundings(grid: &Grid, solid_distance: &[f64], axis: Axis, face: usize) 
     (length >= 1e-5).then(|| 4.0 * 3.0 / length)
 }
 
-/// A marker after its advection: on the GPU, of the twin, bound (m), place, and whether it is excused.
-type Advected = (Marker, Marker, f64, Place, bool);
+/// Flag and positions of a marker after its advection; `None` is excused.
+type Advected = (Option<Pair>, Vec<Option<Pair>>);
 
 /// Markers in slots before and after their advection. `bound`: error of the end of a marker by its start, m; `advect`: twin of the marker in a slot.
 fn advected(
@@ -757,19 +733,18 @@ fn advected(
         let place = Place::Marker(slot, start.unwrap_or_default().into());
         let bound = start.map_or(0.0, |start| bound(start.into()));
         let twin = start.and_then(|start| advect(slot, start));
+        let agree = match gpu.zip(twin) {
+            Some((gpu, twin)) => (0..3).all(|a| (gpu[a] - twin[a]).abs() <= bound),
+            None => gpu.is_none() == twin.is_none(),
+        };
         let decides = |start| depends_on_start(start, gpu, bound, |start| advect(slot, start));
-        let excused = !close(gpu, &twin, bound) && start.is_some_and(decides);
-        (*gpu, twin, bound, place, excused)
+        if !agree && start.is_some_and(decides) {
+            return (None, vec![None; 3]);
+        }
+        let positions = gpu.zip(twin).map(|(gpu, twin)| components(gpu, twin, bound, place).map(Some).to_vec());
+        (Some(flag(gpu.is_none(), twin.is_none(), place)), positions.unwrap_or_default())
     });
     rows.collect()
-}
-
-/// Whether two markers agree within a bound (m), or both are deleted.
-fn close(gpu: &Marker, twin: &Marker, bound: f64) -> bool {
-    match (gpu, twin) {
-        (Some(gpu), Some(twin)) => (0..3).all(|a| (gpu[a] - twin[a]).abs() <= bound),
-        (gpu, twin) => gpu.is_none() == twin.is_none(),
-    }
 }
 
 /// Whether the rounding of its start decides the end of a marker: the gradient of the distance jumps, or its sign changes. Compares with starts

@@ -39,7 +39,7 @@ impl LiquidComparison<'_> {
         let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux()).iter().copied();
         let sources = self.taps.boundary_flux(&grid, clip.map(|clip| &clip.cut_cells().open), self.running.running);
         obstacles.chain(sources).for_each(|(cell, flux)| taken[cell] += flux / (grid.dx * grid.dx));
-        let by_solids = both.map(|both| both.constrained_flux(grid.dx, &after.active));
+        let by_solids = both.map(|both| both.flux(grid.dx, &after.active)).map(|[_, _, constrained]| constrained);
         for component in &opened {
             let sum = |flux: &[f64]| component.iter().map(|&cell| flux[cell]).sum::<f64>();
             let grows = sum(&taken) + by_solids.as_deref().map_or(0.0, sum) > 0.0;
@@ -114,8 +114,7 @@ impl LiquidComparison<'_> {
     fn subtract_flux(&mut self, after: &LiquidSnapshot, both: &Both) -> f64 {
         let grid = self.grid;
         let open: Vec<bool> = (0..grid.n_cells()).map(|cell| after.active[cell] && !after.closed[cell]).collect();
-        let [flux, gross] = both.flux(grid.dx, &open);
-        let constrained = both.constrained_flux(grid.dx, &open);
+        let [flux, gross, constrained] = both.flux(grid.dx, &open);
         let before = &self.before.rhs;
         let left: Vec<f64> = before.iter().zip(&constrained).map(|(b, constrained)| b - constrained).collect();
         let opened = &self.twin.opened;
