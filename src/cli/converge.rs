@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::measure::converge::{Refined, Study, refined};
+use crate::measure::converge::{Study, refined};
 use crate::measure::sweep::{Options, Shard, Sweep};
 use crate::scene::{MAX_FRAMES, Scene};
 
@@ -72,8 +72,7 @@ impl Converge {
             let stem = self.scene.file_stem().unwrap_or_default();
             Path::new("out").join(format!("{}_converge", stem.to_string_lossy()))
         });
-        let what = Refined { steps: self.steps, elements: self.elements };
-        let settings = refined(&scene, &overrides, what)?;
+        let settings = refined(&scene, &overrides, self.steps, self.elements)?;
         let options = Options {
             scene: self.scene.clone(),
             without: Vec::new(),

@@ -318,23 +318,24 @@ fn describe(sweep: &Sweep, number: usize) -> String {
     let row = sweep.row(number);
     match row.status {
         Status::Finished => {
-            let volume = row.volume.map_or(String::new(), |[least, largest]| {
+            let tally = row.tally.unwrap_or_default();
+            let volume = tally.volume_ratio.map_or(String::new(), |[least, largest]| {
                 format!(", volume {:.1} % to {:.1} %", 100.0 * least, 100.0 * largest)
             });
-            let missed = match row.missed {
-                None | Some(0) => String::new(),
-                Some(missed) => format!(", {missed} missed the tolerance"),
+            let missed = match tally.missed {
+                0 => String::new(),
+                missed => format!(", {missed} missed the tolerance"),
             };
-            let squeezed = match row.squeezed {
-                None | Some(0) => String::new(),
-                Some(squeezed) => format!(", {squeezed} were incompatible"),
+            let squeezed = match tally.squeezed {
+                0 => String::new(),
+                squeezed => format!(", {squeezed} were incompatible"),
             };
             format!(
                 "finished, {} frames in {} sub-steps, {:.1} s, worst residual {:.1e}{volume}{missed}{squeezed}",
                 row.frames.unwrap_or_default(),
                 row.sub_steps.unwrap_or_default(),
                 row.seconds.unwrap_or_default(),
-                row.worst_residual.unwrap_or_default()
+                tally.worst_residual
             )
         }
         Status::Running => "running in another process".to_owned(),
@@ -365,8 +366,8 @@ fn print_table(sweep: &Sweep, shard: &[usize]) {
         value.map_or("-".to_owned(), text)
     }
     for &number in shard {
-        let Row { status, exit_code, frames, sub_steps, seconds, worst_residual, volume, missed, .. } =
-            sweep.row(number);
+        let Row { status, exit_code, frames, sub_steps, seconds, tally, .. } = sweep.row(number);
+        let volume = tally.and_then(|tally| tally.volume_ratio);
         say!(
             "{:width$}  {:11} {:>4} {:>6} {:>9} {:>9} {:>9} {:>15} {:>6}",
             sweep.runs[number].name,
@@ -375,9 +376,9 @@ fn print_table(sweep: &Sweep, shard: &[usize]) {
             or_dash(frames, |frames| frames.to_string()),
             or_dash(sub_steps, |steps| steps.to_string()),
             or_dash(seconds, |seconds| format!("{seconds:.1}")),
-            or_dash(worst_residual, |residual| format!("{residual:.1e}")),
+            or_dash(tally, |tally| format!("{:.1e}", tally.worst_residual)),
             or_dash(volume, |[least, largest]| format!("{:.1} to {:.1}", 100.0 * least, 100.0 * largest)),
-            or_dash(missed, |missed| missed.to_string()),
+            or_dash(tally, |tally| tally.missed.to_string()),
         );
     }
 }

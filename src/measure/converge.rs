@@ -8,15 +8,15 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::probe_statistics::Statistics;
-use super::sweep::{Row, Status, Sweep};
+use super::probe_statistics::{NAMES, Statistics};
+use super::sweep::{Status, Sweep};
 use super::{cell, write_csv, write_json};
 use crate::Error;
 use crate::output::plot::{Chart, Run, write_page};
 use crate::scene::{Scene, Solid, SolidMesh, names};
 
-/// Statistics of a probe that are studied, with their places in [`Statistics::numbers`].
-const QUANTITIES: [(&str, usize); 4] = [("least", 0), ("largest", 2), ("mean", 4), ("last", 5)];
+/// Places in [`Statistics`] of those that are studied: least, largest, mean, last.
+const QUANTITIES: [usize; 4] = [0, 2, 4, 5];
 /// Relative difference of values that single precision does not resolve.
 const ROUNDING: f64 = 1e-6;
 /// Orders with an estimate. The method is of first to second order.
@@ -139,10 +139,10 @@ impl Study {
         let cell_sizes: Vec<f64> = runs.clone().filter_map(|run| Some(run.scene.as_ref().ok()?.cell_size)).collect();
         let mut quantities = Vec::new();
         for (probe, unit) in sweep.probes() {
-            let of_run = |row: &Row| row.statistics(&probe);
-            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>() else { continue };
-            for (quantity, place) in QUANTITIES {
-                let values: Vec<f64> = statistics.iter().map(|all| all.numbers()[place]).collect();
+            let statistics = rows.iter().map(|row| row.statistics(&probe));
+            let Some(statistics) = statistics.collect::<Option<Vec<Statistics>>>() else { continue };
+            for place in QUANTITIES {
+                let values: Vec<f64> = statistics.iter().map(|numbers| numbers[place]).collect();
                 let finest = |list: &[f64]| *list.last_chunk().expect("a study has three scales or more");
                 let (h, f) = (finest(&cell_sizes), finest(&values));
                 let convergence = Convergence::new(h, f);
@@ -150,7 +150,7 @@ impl Study {
                 quantities.push(Quantity {
                     probe: probe.clone(),
                     unit,
-                    quantity,
+                    quantity: NAMES[place],
                     values,
                     convergence,
                     error: error.filter(|error| error.is_finite()),
@@ -210,23 +210,16 @@ impl Study {
     }
 }
 
-/// Which lengths a study divides by the scale, besides the cells of the grid.
-#[derive(Clone, Copy, Debug)]
-pub struct Refined {
-    /// `time.fixed_step` and `time.max_step`.
-    pub steps: bool,
-    /// Elements of the solids.
-    pub elements: bool,
-}
-
-/// Overrides of the scene at a scale, after `settings`.
+/// Overrides of the scene at a scale, after `settings`. Besides the cells of the grid, the scale divides `time.fixed_step` and `time.max_step` with
+/// `steps`, and the elements of the solids with `elements`.
 ///
 /// # Errors
 /// [`Error::Input`] if the scene has nothing to refine, and for solids from files of tetrahedra.
 pub fn refined(
     scene: &Scene,
     settings: &[String],
-    Refined { steps, elements }: Refined,
+    steps: bool,
+    elements: bool,
 ) -> Result<impl Fn(f64) -> Vec<String> + use<>, Error> {
     let (time, slab) = (scene.time.clone(), scene.domain.slab);
     if steps && time.fixed_step.is_none() && time.max_step.is_none() {
@@ -288,43 +281,4 @@ pub fn refined(
         }
         all
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Convergence, Verdict};
-
-    #[test]
-    fn orders_and_estimates_are_those_of_the_error() {
-        for (h, p) in
-            [([2.0, 1.0, 0.5], 1.0), ([0.04, 0.02, 0.01], 2.0), ([3.0, 2.0, 1.0], 1.5), ([1.0, 0.7, 0.6], 0.7)]
-        {
-            let f = h.map(|h: f64| 5.0 - 0.3 * h.powf(p));
-            let found = Convergence::new(h, f);
-            assert_eq!(found.verdict, Verdict::Converges, "{h:?}");
-            // The differences cancel up to three digits of 16.
-            assert!((found.order.unwrap() - p).abs() < 1e-9, "{found:?}");
-            assert!((found.estimate.unwrap() - 5.0).abs() < 1e-9, "{found:?}");
-        }
-    }
-
-    #[test]
-    fn runs_outside_the_asymptotic_range_have_no_estimate() {
-        let h = [4.0, 2.0, 1.0];
-        for (f, verdict, has_order) in [
-            ([1.0, 2.0, 1.5], Verdict::Oscillates, false),
-            ([1.0, 1.0, 1.5], Verdict::Oscillates, false),
-            ([1.0, 2.0, 4.0], Verdict::Diverges, false),
-            ([1.0, 2.0, 3.0], Verdict::Diverges, false),
-            ([1.0, 2.0, 2.9], Verdict::TooSlow, true),
-            ([1.0, 2.0, 2.05], Verdict::TooFast, true),
-            ([1.0, 1.0 + 1e-8, 1.0], Verdict::Constant, false),
-            ([0.0, 0.0, 0.0], Verdict::Constant, false),
-        ] {
-            let found = Convergence::new(h, f);
-            assert_eq!(found.verdict, verdict, "{f:?}");
-            assert_eq!(found.order.is_some(), has_order, "{f:?}");
-            assert_eq!(found.estimate, None, "{f:?}");
-        }
-    }
 }

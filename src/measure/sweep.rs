@@ -10,10 +10,10 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::probe_statistics::Statistics;
-use super::{cell, write_csv, write_json};
+use super::probe_statistics::{self, NAMES, Statistics};
+use super::{cell, remove, write_csv, write_json};
 use crate::Error;
-use crate::output::manifest::{Manifest, RunStatus};
+use crate::output::manifest::{Manifest, RunStatus, Tally};
 use crate::scene::{Scene, names, override_option};
 
 /// Most runs of a sweep: a folder each.
@@ -205,14 +205,8 @@ pub struct Row {
     pub sub_steps: Option<u64>,
     /// Wall-clock seconds.
     pub seconds: Option<f64>,
-    /// Largest true relative residual of all solves.
-    pub worst_residual: Option<f64>,
-    /// Least and largest liquid volume over the prescribed volume.
-    pub volume: Option<[f64; 2]>,
-    /// Sub-steps with a solve that missed its tolerance.
-    pub missed: Option<u64>,
-    /// Sub-steps with an incompatible boundary flux of an enclosed liquid component.
-    pub squeezed: Option<u64>,
+    /// Counts and extremes over the sub-steps.
+    pub tally: Option<Tally>,
     /// Error message.
     pub problem: Option<String>,
     /// Columns of the probes of a finished run with their statistics.
@@ -369,7 +363,7 @@ impl Sweep {
             (None, None) => Row::default(),
         };
         if row.status == Status::Finished {
-            match Statistics::read(&run.folder) {
+            match probe_statistics::read(&run.folder) {
                 Ok(probes) => row.probes = probes,
                 Err(error) => row.problem = Some(one_line(&error.to_string())),
             }
@@ -397,10 +391,8 @@ impl Sweep {
             }
             std::thread::sleep(LOCK_PAUSE);
         }
-        match fs::remove_file(folder.join(RECORD)) {
-            Err(problem) if problem.kind() != std::io::ErrorKind::NotFound => Err(failed(problem)),
-            _ => Ok(Some(lock)),
-        }
+        remove(&folder.join(RECORD))?;
+        Ok(Some(lock))
     }
 
     /// Records the end of a run: its exit code, or `None` if a signal ended it, and its error message.
@@ -421,13 +413,12 @@ impl Sweep {
         let _ = turn.lock();
         let keys = self.axes.iter().map(|axis| axis.key.clone());
         let probes = self.probes();
-        let statistics = probes.iter().flat_map(|(probe, _)| Statistics::NAMES.map(|name| format!("{probe}:{name}")));
+        let statistics = probes.iter().flat_map(|(probe, _)| NAMES.map(|name| format!("{probe}:{name}")));
         let heads = keys.chain(Row::default().cells("").map(|(name, _)| name.to_owned())).chain(statistics).collect();
         let records = self.runs.iter().enumerate().map(|(number, run)| {
             let row = self.row(number);
             let statistics = probes.iter().flat_map(|(probe, _)| {
-                let numbers = row.statistics(probe).map(|all| all.numbers().map(Some));
-                numbers.unwrap_or_default().map(cell)
+                row.statistics(probe).map(|numbers| numbers.map(Some)).unwrap_or_default().map(cell)
             });
             let cells = row.cells(&run.name).map(|(_, cell)| cell);
             run.values.iter().cloned().chain(cells).chain(statistics).collect()
@@ -451,17 +442,18 @@ impl Sweep {
 impl Row {
     /// Columns of summary.csv after the keys, and their cells.
     fn cells(&self, folder: &str) -> [(&'static str, String); 12] {
+        let volume = self.tally.and_then(|tally| tally.volume_ratio);
         [
             ("status", self.status.name().to_owned()),
             ("exit_code", cell(self.exit_code)),
             ("frames", cell(self.frames)),
             ("sub_steps", cell(self.sub_steps)),
             ("seconds", cell(self.seconds)),
-            ("worst_residual", cell(self.worst_residual)),
-            ("volume_least", cell(self.volume.map(|[least, _]| least))),
-            ("volume_largest", cell(self.volume.map(|[_, largest]| largest))),
-            ("missed", cell(self.missed)),
-            ("squeezed", cell(self.squeezed)),
+            ("worst_residual", cell(self.tally.map(|tally| tally.worst_residual))),
+            ("volume_least", cell(volume.map(|[least, _]| least))),
+            ("volume_largest", cell(volume.map(|[_, largest]| largest))),
+            ("missed", cell(self.tally.map(|tally| tally.missed))),
+            ("squeezed", cell(self.tally.map(|tally| tally.squeezed))),
             ("folder", folder.to_owned()),
             ("problem", self.problem.clone().unwrap_or_default()),
         ]
@@ -482,17 +474,13 @@ fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
         RunStatus::Failed => (Status::Failed, None),
         RunStatus::Running => (Status::BrokenOff, None),
     };
-    let tally = &progress.tally;
     Row {
         status,
         exit_code: exit_code.or(record.as_ref().and_then(|record| record.exit_code)),
         frames: progress.frames_written.last().copied(),
         sub_steps: Some(progress.steps),
         seconds: (status != Status::BrokenOff).then_some(progress.seconds),
-        worst_residual: Some(tally.worst_residual),
-        volume: tally.volume_ratio,
-        missed: Some(tally.missed),
-        squeezed: Some(tally.squeezed),
+        tally: Some(progress.tally),
         problem: progress.error.as_deref().map(one_line).or(record.and_then(|record| record.problem)),
         probes: Vec::new(),
     }

@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use cutwater::measure::converge::{Convergence, Verdict};
+
 use crate::cli::{DAM, complains, folder, list, says};
 use crate::common::json;
 
@@ -103,5 +105,37 @@ fn studies_that_cannot_be_are_refused() {
             assert!(told.contains(part), "{options}: {told}");
         }
         assert!(!folder.path().join("out").exists(), "{options}");
+    }
+}
+
+#[test]
+fn orders_and_estimates_are_those_of_the_error() {
+    for (h, p) in [([2.0, 1.0, 0.5], 1.0), ([0.04, 0.02, 0.01], 2.0), ([3.0, 2.0, 1.0], 1.5), ([1.0, 0.7, 0.6], 0.7)] {
+        let f = h.map(|h: f64| 5.0 - 0.3 * h.powf(p));
+        let found = Convergence::new(h, f);
+        assert_eq!(found.verdict, Verdict::Converges, "{h:?}");
+        // The differences cancel up to three digits of 16.
+        assert!((found.order.unwrap() - p).abs() < 1e-9, "{found:?}");
+        assert!((found.estimate.unwrap() - 5.0).abs() < 1e-9, "{found:?}");
+    }
+}
+
+#[test]
+fn runs_outside_the_asymptotic_range_have_no_estimate() {
+    let h = [4.0, 2.0, 1.0];
+    for (f, verdict, has_order) in [
+        ([1.0, 2.0, 1.5], Verdict::Oscillates, false),
+        ([1.0, 1.0, 1.5], Verdict::Oscillates, false),
+        ([1.0, 2.0, 4.0], Verdict::Diverges, false),
+        ([1.0, 2.0, 3.0], Verdict::Diverges, false),
+        ([1.0, 2.0, 2.9], Verdict::TooSlow, true),
+        ([1.0, 2.0, 2.05], Verdict::TooFast, true),
+        ([1.0, 1.0 + 1e-8, 1.0], Verdict::Constant, false),
+        ([0.0, 0.0, 0.0], Verdict::Constant, false),
+    ] {
+        let found = Convergence::new(h, f);
+        assert_eq!(found.verdict, verdict, "{f:?}");
+        assert_eq!(found.order.is_some(), has_order, "{f:?}");
+        assert_eq!(found.estimate, None, "{f:?}");
     }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
+use cutwater::measure::probe_statistics::statistics;
 use cutwater::measure::sweep::{Axis, Options, Shard, Sweep};
 use tempfile::TempDir;
 
@@ -318,4 +319,17 @@ fn a_killed_sweep_leaves_its_runs_to_nobody_else() {
     assert_eq!(runs.len(), 2);
     runs.into_iter().for_each(|id| signal(id, "SIGINT"));
     wait_for("the runs end", Duration::from_secs(60), || !says(&folder, again).contains("running"));
+}
+
+#[test]
+fn means_weigh_sub_steps_and_extremes_have_their_times() {
+    let times = [1.0, 1.5, 3.5, 4.0];
+    let values = [Some(2.0), Some(-4.0), None, Some(6.0)];
+    let found = statistics(&times, &values).unwrap();
+    // (1 s of 2, 0.5 s of -4, 0.5 s of 6) over 2 s.
+    assert_eq!(found, [-4.0, 1.5, 6.0, 4.0, 1.5, 6.0]);
+    assert_eq!(statistics(&times, &[None; 4]), None);
+    // The first of equal extremes.
+    let found = statistics(&times, &[Some(1.0); 4]).unwrap();
+    assert_eq!(found, [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]);
 }
