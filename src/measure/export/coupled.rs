@@ -5,13 +5,11 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::super::stored;
-use super::{
-    Options, SubStep, System, general, no_system_of_both, on_cpu, on_gpu, pressure, solids, symmetric, vector,
-};
+use super::{Options, SubStep, System, no_system_of_both, on_cpu, on_gpu, pressure, solids, symmetric, vector};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::AdapterChoice;
-use crate::linalg::Csr;
+use crate::linalg::{Csr, Symmetry, matrix_text};
 use crate::reference::{BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
@@ -43,6 +41,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
     let both = |v: &[f64]| e.iter().chain(v).copied().collect::<Vec<f64>>();
     let (stress, matrix) = variables.system(&blocks)?;
+    let j = "J P, m^2: rows as those of B, columns as the velocities of nodes.csv";
     let z1 = Csr::diagonal_of(&blocks.z1(SIGMA));
     let mut others = vec![
         symmetric("indefinite.mtx", &blocks.indefinite(), "[B J; J^T -S], rows as those of spd.mtx"),
@@ -50,7 +49,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         symmetric("stress.mtx", &matrix, "pressures as in spd.mtx, then six stresses per element, in roots of W"),
         vector("stress_rhs.mtx", &stress.rhs(&both(&minus_w)), "its right-hand side"),
         symmetric("B.mtx", &blocks.b, "B, m^3/s per Pa; cells.csv says which cell a row is"),
-        general("J.mtx", &blocks.j, "J P, m^2: rows as those of B, columns as the velocities of nodes.csv"),
+        ("J.mtx", matrix_text(&blocks.j, Symmetry::General, j)),
         symmetric("M.mtx", &system.solid.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n"),
         symmetric("K.mtx", &system.solid.stiffness_to_csr(), "K, N/m, rows as those of M"),
         symmetric("Z1.mtx", &z1, "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv"),

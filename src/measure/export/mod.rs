@@ -124,10 +124,6 @@ fn symmetric(name: &'static str, matrix: &Csr, comment: &str) -> File {
     (name, matrix_text(matrix, Symmetry::Symmetric, comment))
 }
 
-fn general(name: &'static str, matrix: &Csr, comment: &str) -> File {
-    (name, matrix_text(matrix, Symmetry::General, comment))
-}
-
 fn vector(name: &'static str, values: &[f64], comment: &str) -> File {
     (name, vector_text(values, comment))
 }
