@@ -145,14 +145,19 @@ impl PlaneStrain {
             let [min, max] = [low.with_z(z - 0.1 * dx), high.with_z(z + 0.1 * dx)].map(vector);
             format!("[[solid.pin]]\nregion = {{ box = {{ min = {min}, max = {max} }} }}\ncomponents = \"z\"\n")
         };
+        let ([size, centre], pins) =
+            ([high - low, 0.5 * (low + high)].map(vector), [0.0, thickness].map(wall).concat());
+        let ([length, height], rate, density) = (TANK, 1.0 / DT, self.density());
+        let young = self.mu * (3.0 * self.lambda + 2.0 * self.mu) / (self.lambda + self.mu);
+        let poisson = 0.5 * self.lambda / (self.lambda + self.mu);
         let text = format!(
             "[domain]
-size = [{:?}, {:?}, {thickness:?}]
+size = [{length:?}, {height:?}, {thickness:?}]
 cells = [{width}, {cells}, {LAYERS}]
 gravity = [0, {GRAVITY:?}, 0]
 [time]
 duration = {DT:?}
-frames_per_second = {:?}
+frames_per_second = {rate:?}
 fixed_step = {DT:?}
 [liquid]
 density = {DENSITY:?}
@@ -161,22 +166,12 @@ surface = \"fixed\"
 half_space = {{ point = [0, {LEVEL:?}, 0], normal = [0, 1, 0] }}
 [[solid]]
 name = \"block\"
-mesh = {{ box = {{ size = {}, cells = [{bricks}, {bricks}, {LAYERS}] }} }}
-placement = {{ translate = {} }}
-density = {:?}
-young = {:?}
-poisson = {:?}
-{}{}",
-            TANK[0],
-            TANK[1],
-            1.0 / DT,
-            vector(high - low),
-            vector(0.5 * (low + high)),
-            self.density(),
-            self.mu * (3.0 * self.lambda + 2.0 * self.mu) / (self.lambda + self.mu),
-            0.5 * self.lambda / (self.lambda + self.mu),
-            wall(0.0),
-            wall(thickness),
+mesh = {{ box = {{ size = {size}, cells = [{bricks}, {bricks}, {LAYERS}] }} }}
+placement = {{ translate = {centre} }}
+density = {density:?}
+young = {young:?}
+poisson = {poisson:?}
+{pins}"
         );
         let mut scene = Scene::parse(format!("section_6_4_{cells}.toml").as_ref(), &text, &[], 1.0)?;
         let mesh = TetMesh::new(&scene.solids[0], "section 6.4")?;

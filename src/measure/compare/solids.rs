@@ -456,7 +456,9 @@ fn accept_rotation(
 ) -> Pair {
     let twin = &mut matrices.deformations[element];
     let gpu = after.turned(solids, element, twin.gradient);
-    let [gpu_distance, distance] = [&gpu, &*twin].map(distance_to_rotation);
+    // |F - R|
+    let distance = |of: &Deformation| frobenius(DMat3::IDENTITY + of.gradient - of.rotation);
+    let [gpu_distance, distance] = [&gpu, &*twin].map(distance);
     let bound = 1e-6 * distance + rounding;
     let defect = gpu.rotation.transpose() * gpu.rotation - DMat3::IDENTITY;
     let eps = unit(after.real);
@@ -506,9 +508,4 @@ fn condition(deformation: &Deformation) -> f64 {
 fn frobenius(m: DMat3) -> f64 {
     let squares = [m.x_axis, m.y_axis, m.z_axis].map(DVec3::length_squared);
     squares.iter().sum::<f64>().sqrt()
-}
-
-/// |F - R|
-fn distance_to_rotation(deformation: &Deformation) -> f64 {
-    frobenius(DMat3::IDENTITY + deformation.gradient - deformation.rotation)
 }

@@ -128,19 +128,6 @@ impl Row {
     pub fn breached(&self) -> bool {
         self.ratio() > 1.0 || self.excuses_too_much()
     }
-
-    /// Adds a pair.
-    fn add(&mut self, pair: Worst) {
-        let difference = (pair.gpu - pair.twin).abs();
-        self.count += 1;
-        self.sum_of_squares += difference * difference;
-        if difference > self.largest || difference.is_nan() {
-            self.largest = difference;
-        }
-        if self.worst.is_none_or(|worst| pair.ratio() > worst.ratio()) {
-            self.worst = Some(pair);
-        }
-    }
 }
 
 /// A number on both paths: GPU, twin, bound.
@@ -194,9 +181,18 @@ impl Table {
         let step = self.step;
         let row = self.row(quantity);
         for pair in pairs {
-            match pair.into() {
-                Some((gpu, twin, bound, place)) => row.add(Worst { gpu, twin, bound, place, step }),
-                None => row.excused += 1,
+            let Some((gpu, twin, bound, place)) = pair.into() else {
+                row.excused += 1;
+                continue;
+            };
+            let (pair, difference) = (Worst { gpu, twin, bound, place, step }, (gpu - twin).abs());
+            row.count += 1;
+            row.sum_of_squares += difference * difference;
+            if difference > row.largest || difference.is_nan() {
+                row.largest = difference;
+            }
+            if row.worst.is_none_or(|worst| pair.ratio() > worst.ratio()) {
+                row.worst = Some(pair);
             }
         }
     }

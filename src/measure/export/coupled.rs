@@ -13,7 +13,6 @@ use crate::linalg::{Csr, Symmetry, matrix_text};
 use crate::reference::{BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
-use crate::step::Stage;
 
 /// Coupled system of a sub-step, pressures, Pa, and velocities, m/s, of its solution, and its stress variables.
 type Coupled = (CoupledSystem, Vec<f64>, Vec<[f64; 3]>, StressVariables);
@@ -108,21 +107,11 @@ fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<(Coupled,
 
 /// The system stored on the device.
 fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64) -> Result<(Coupled, SubStep), Error> {
-    let mut inflow = Vec::new();
-    on_gpu(scene, choice, options, |stage, path, dt| {
-        if ![Stage::Solve, Stage::RightHandSide].contains(&stage) {
-            return Ok(None);
-        }
-        let snapshot = path.snapshot()?;
+    on_gpu(scene, choice, options, |path, snapshot, inflow, dt| {
         let (Some(liquid), Some(solids)) = (&snapshot.liquid, &snapshot.solids) else {
             unreachable!("the scene has liquid and solids");
         };
-        if stage == Stage::RightHandSide {
-            // Read before the solve, which subtracts the flux of the solids.
-            inflow.clone_from(&liquid.rhs);
-            return Ok(None);
-        }
-        let stored = stored::system_of_both(path, &snapshot, &inflow, density, dt);
+        let stored = stored::system_of_both(path, snapshot, inflow, density, dt);
         let (system, all) = stored.ok_or_else(|| no_system_of_both(options.step))?;
         let pressure = stored::pressure(path, liquid, density, dt);
         // The device stores it in f32.
@@ -133,6 +122,6 @@ fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64
             *deformation = solids.turned(&all, element, deformation.gradient);
         }
         let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
-        Ok(Some((system, pressure, solids.velocity.clone(), variables)))
+        Ok((system, pressure, solids.velocity.clone(), variables))
     })
 }

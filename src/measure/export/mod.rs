@@ -29,7 +29,7 @@ use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::{FolderLock, write_atomically};
 use crate::reference::StepSystem;
 use crate::scene::Scene;
-use crate::sim::{Backend, GpuPath, reference_path};
+use crate::sim::{Backend, GpuPath, Snapshot, reference_path};
 use crate::state::{Carried, SolveStatus, State, StepReport};
 use crate::step::Stage;
 
@@ -220,13 +220,13 @@ fn is_meta(path: &Path) -> bool {
     ["cutwater", "step", "unknowns", "residual"].iter().all(|key| meta.get(key).is_some())
 }
 
-/// Runs the GPU path to a sub-step and reads a value back after one of its stages. `read`: called with each finished stage and the length of the
-/// sub-step, s; it returns the value at the solve at the latest.
+/// Runs the GPU path to a sub-step and reads a value back after its solve. `read`: called with the fields after the solve, E u* / dx^2 before it (m/s),
+/// and the length of the sub-step, s. The solve subtracts the flux of the solids from E u*.
 fn on_gpu<T>(
     scene: &Scene,
     choice: &AdapterChoice,
     options: &Options,
-    mut read: impl FnMut(Stage, &GpuPath, f64) -> Result<Option<T>, Error>,
+    read: impl Fn(&GpuPath, &Snapshot, &[f64], f64) -> Result<T, Error>,
 ) -> Result<(T, SubStep), Error> {
     let step = options.step;
     let mut path = GpuPath::open(scene, choice)?;
@@ -237,10 +237,14 @@ fn on_gpu<T>(
         let clock = path.clock();
         ensure_within(scene, step, (clock.step, clock.frame))?;
         let dt = path.next_time_step().dt;
-        let mut value = None;
+        let (mut inflow, mut value) = (Vec::new(), None);
         let report = path.step_observed(&mut |stage, path| {
-            if clock.step == step && value.is_none() {
-                value = read(stage, path, dt)?;
+            match stage {
+                Stage::RightHandSide if clock.step == step => {
+                    inflow = path.snapshot()?.liquid.map_or_else(Vec::new, |liquid| liquid.rhs);
+                }
+                Stage::Solve if clock.step == step => value = Some(read(path, &path.snapshot()?, &inflow, dt)?),
+                _ => {}
             }
             Ok(())
         })?;

@@ -6,17 +6,18 @@ use super::super::stored;
 use super::{File, Options, SubStep, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::grid::Grid;
-use crate::reference::{PressureSystem, StepSystem};
+use crate::reference::StepSystem;
 use crate::scene::Scene;
-use crate::sim::{Backend, GpuPath};
-use crate::step::Stage;
+use crate::sim::Backend;
 
 /// B p = E u*.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let density = density(scene)?;
     let ((system, pressure), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
-            (stage == Stage::Solve).then(|| stored(path, density, dt)).transpose()
+        Backend::Gpu(choice) => on_gpu(scene, choice, options, |path, snapshot, _, dt| {
+            let liquid = snapshot.liquid.as_ref().expect("the scene has liquid");
+            let system = stored::pressure_system(path, liquid, density, dt).masked(&liquid.separated);
+            Ok((system, stored::pressure(path, liquid, density, dt)))
         })?,
         Backend::Cpu => on_cpu(scene, options, |system| match system {
             StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
@@ -65,11 +66,4 @@ pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
             "add a [liquid] section with a region, or a [[solid]]",
         )
     })
-}
-
-/// The system stored on the device, in SI units, and the pressure, Pa.
-fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
-    let snapshot = path.snapshot()?.liquid.expect("the scene has liquid");
-    let system = stored::pressure_system(path, &snapshot, density, dt).masked(&snapshot.separated);
-    Ok((system, stored::pressure(path, &snapshot, density, dt)))
 }

@@ -6,17 +6,17 @@ use super::super::stored;
 use super::{Options, SubStep, System, on_cpu, on_gpu, symmetric};
 use crate::Error;
 use crate::elastic::{Body, Solids};
-use crate::reference::{SolidSystem, StepSystem};
+use crate::reference::StepSystem;
 use crate::scene::Scene;
-use crate::sim::{Backend, GpuPath, solids_of};
-use crate::step::Stage;
+use crate::sim::{Backend, solids_of};
 
 /// P S P v = P rhs on the components that are not prescribed, with the constraint projector P of walls and obstacles; M, K and S on all components.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let solids = solids_of(scene)?;
     let ((system, velocity), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
-            (stage == Stage::Solve).then(|| stored(path, dt)).transpose()
+        Backend::Gpu(choice) => on_gpu(scene, choice, options, |path, snapshot, _, dt| {
+            let solids = snapshot.solids.as_ref().expect("the scene has solids");
+            Ok((stored::solid_system(path, solids, dt).0, solids.velocity.clone()))
         })?,
         Backend::Cpu => on_cpu(scene, options, |system| match system {
             StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
@@ -73,11 +73,4 @@ pub(super) fn table(solids: &Solids, components: &[usize], first: usize) -> Stri
         }
     }
     table
-}
-
-/// The system stored on the device, and its solution, m/s.
-fn stored(path: &GpuPath, dt: f64) -> Result<(SolidSystem, Vec<[f64; 3]>), Error> {
-    let snapshot = path.snapshot()?.solids.expect("the scene has solids");
-    let (system, _) = stored::solid_system(path, &snapshot, dt);
-    Ok((system, snapshot.velocity))
 }
