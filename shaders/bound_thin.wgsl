@@ -22,9 +22,7 @@
 
 // The constants of reference/bound_level.rs.
 // Occupancy at the surface of thin liquid.
-const THIN_LEVEL = 0.485;
-// Tolerance of the bound of thin liquid by air, cells.
-const FILM = 0.1;
+const THIN_LEVEL = 0.47;
 // Depth that a surface loses per curvature, cells^2.
 const PER_CURVATURE = 1.0 / 6.0;
 // Largest curvature that counts, 1 / cells.
@@ -76,8 +74,8 @@ fn bound_thin(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
         let n = firstTrailingBit(wanted);
         wanted &= wanted - 1u;
         let t = flat[n] - PER_CURVATURE * curvature(first + n);
-        if t > FILM {
-            new_level[first + n] = max(phi[n], t - FILM);
+        if t > 0.0 {
+            new_level[first + n] = max(phi[n], t);
         } else if t < 0.0 {
             new_level[first + n] = min(phi[n], t);
         }

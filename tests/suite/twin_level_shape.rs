@@ -314,7 +314,7 @@ fn markers_bound_the_level_as_in_the_twin() {
         // counts, is a sum of six differences of up to 7 cells, in order: 6 and 6 + .. + 1 roundings of partial sums below 42.
         let bound = |cell: usize| match thin[cell] {
             true => {
-                let q = (2.0 * (fraction[cell] - 0.485)).clamp(-1.0, 1.0);
+                let q = (2.0 * (fraction[cell] - 0.47)).clamp(-1.0, 1.0);
                 let root = (1.0 - q.abs()).sqrt();
                 (4.0 * EPS / root).min((4.0 * EPS).sqrt()) + (6.0 + 12.0 * 42.0 / 6.0) * EPS
             }
