@@ -1,4 +1,4 @@
-// bound_level, last of three: bounds of thick liquid by the smoothed occupancy G (equations in the twin,
+// bound_level, last of five: bounds of thick liquid by the smoothed occupancy G (equations in the twin,
 // reference/bound_level.rs). Cells whose own occupancy and those beside exclude a bound that counts do not compute G: they
 // are most of the band. One thread per quad of the band; outside it F = 0.
 // level, step. band_args, band_list, band_flags: the band. valid, occupied: see level_cells. occupancy: F. thin: per

@@ -1,4 +1,4 @@
-// bound_level, second of three: bounds of thin liquid by the occupancy F and the curvature of the level (equations in the twin,
+// bound_level, fourth of five: bounds of thin liquid by the occupancy F and the curvature of the level (equations in the twin,
 // reference/bound_level.rs). One thread per quad of the band.
 // level, step. band_args, band_list: the band. valid, occupied: see level_cells. carried_level: cells. occupancy: F. thin: per
 // quad the lanes in thin liquid. new_level: cells, out in those.

@@ -63,6 +63,8 @@ arrays! {
             pub array eikonal_next: f32 [padded.len()],
             /// Per quad: lanes in thin liquid, from `bound_level` on.
             pub array thin: u32 [padded.quads],
+            /// Per quad: lanes near thick liquid, during `bound_level`.
+            pub array thin_next: u32 [padded.quads],
             /// F: fraction of the surroundings that markers fill, -1 where it is unknown.
             pub array occupancy: f32 [padded.len()],
             /// Sums of the markers' weights, in units of 2^-20. Zero outside the stage `occupancy`.

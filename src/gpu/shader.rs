@@ -134,6 +134,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/sweep"),
     crate::wgsl!("common/symmetric"),
     crate::wgsl!("common/tally"),
+    crate::wgsl!("common/thick"),
     crate::wgsl!("common/tiles"),
     crate::wgsl!("common/trace"),
     crate::wgsl!("common/tree"),

@@ -67,7 +67,7 @@ pub(crate) use advect_markers::Layer;
 pub use advect_markers::{Lost, Surface, advect_level_markers, advect_markers, volume_without};
 pub use advect_velocity::{advect_velocity, advect_velocity_maccormack};
 pub use ballistic::{Ballistic, ballistic_bodies, ballistic_cells, hold_near_others, wet_nodes};
-pub use bound_level::{THIN, bound_level, level_below, thin_liquid};
+pub use bound_level::{bound_level, thin_liquid};
 pub use cavities::{CavityMotion, FILLS, cavity_source, fill_cavities};
 pub use condition::{Condition, Conditions, conditions};
 pub use contact_rows::{MOST_COUPLED, MOST_MEETINGS, Touching, first_contact_step};

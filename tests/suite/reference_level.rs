@@ -207,36 +207,6 @@ fn bounds_move_a_level_that_markers_contradict_alone() {
     }
 }
 
-/// A film that leaves a block is thin from the block on. Pools, waves and balls of four cells are thick,
-/// sheets of two and balls of one and a half thin.
-#[test]
-fn liquid_is_thin_across_its_surface_alone() {
-    let grid = grid([24, 20, 20]);
-    let thin = |f: &dyn Fn(DVec3) -> f64| {
-        let level = field(&grid, |x| f(x).clamp(-5.0, 5.0));
-        let near = |cell: usize| level[cell].abs() < 1.0;
-        let thin = thin_liquid(&grid, &level);
-        let near: Vec<usize> = inner(&grid, 3).filter(|&cell| near(cell)).collect();
-        (near.iter().filter(|&&cell| thin[cell]).count(), near.len(), thin)
-    };
-    let film = |x: DVec3| (x.y - 10.2).abs() - 0.5;
-    let (_, _, of_film) = thin(&|x| film(x).min((x.x - 9.0).max((x.y - 10.2).abs() - 6.0)));
-    for i in 0..24 {
-        assert_eq!(of_film[grid.cell([i, 10, 10])], i >= 9, "{i}");
-    }
-    let all: [&dyn Fn(DVec3) -> f64; 2] = [&|x| (x.y - 10.2).abs() - 1.0, &|x| x.distance(DVec3::splat(10.2)) - 1.5];
-    for f in all {
-        let (thin, near, _) = thin(f);
-        assert_eq!(thin, near);
-    }
-    let none: [&dyn Fn(DVec3) -> f64; 3] =
-        [&|x| x.y - 10.2, &|x| x.y - 10.2 - (0.4 * x.x).sin(), &|x| x.distance(DVec3::splat(10.2)) - 4.0];
-    for f in none {
-        let (thin, near, _) = thin(f);
-        assert!(thin == 0 && near > 100, "{thin} of {near}");
-    }
-}
-
 /// Liquid above a body with its top at 5.8 cells. A surface that liquid left in the body goes, one that continues from outside stays, and so does
 /// a film too thin for the cell above the body.
 #[test]
@@ -305,32 +275,6 @@ fn redistance_keeps_the_interface_cells_of_a_plane() {
     let ratios: Vec<f64> = inner(&grid, 6).filter(near).map(|cell| steep[cell] / plane[cell]).collect();
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
     assert!(ratios.iter().all(|&ratio| ratio > 0.0) && mean < 1.45, "{mean}");
-}
-
-/// A film of one cell with the depth of thicker liquid, -2, gets slopes of at most 1.4 without a change of its thickness, 1.6 cells between
-/// air of 0.5. A film with slopes of 1 stays.
-#[test]
-fn redistance_restores_the_depth_of_a_film() {
-    let grid = grid([20, 12, 12]);
-    let cut = without_bodies(&grid);
-    let cells = LevelCells { grid: &grid, cut: &cut };
-    let film = |depth: f64| {
-        field(&grid, |x| match (x.y - 6.5).abs() {
-            below if below < 0.5 => -depth,
-            below => below - 0.5,
-        })
-    };
-    let centre = grid.cell([10, 6, 6]);
-    let mut deep = film(2.0);
-    for _ in 0..20 {
-        deep = redistance(cells, &[], &deep);
-    }
-    let [depth, air] = [-deep[centre], deep[grid.cell([10, 7, 6])]];
-    assert!((1.0..1.4).contains(&(depth + air)), "{depth}, {air}");
-    close(depth / (depth + air), 0.8, 0.1);
-    let shallow = film(0.5);
-    let after = redistance(cells, &[], &shallow);
-    assert_eq!([after[centre], after[grid.cell([10, 7, 6])]], [-0.5, 0.5]);
 }
 
 #[test]

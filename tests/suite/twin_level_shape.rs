@@ -277,7 +277,7 @@ fn markers_fill_the_surroundings_as_in_the_twin() {
 #[test]
 fn markers_bound_the_level_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    let (mut changed, mut raised, mut close) = ([0; 2], 0, 0);
+    let (mut changed, mut raised) = ([0; 2], 0);
     for run in runs(gpu, &with_and_without_separation()) {
         let (grid, distance) = (&run.case.grid, &run.case.cut.solid_distance);
         let level = run.put_level(&run.level.carried_level, &level_of(run.case));
@@ -291,19 +291,12 @@ fn markers_bound_the_level_as_in_the_twin() {
         run.record(&stage);
         assert!(first == run.bits(&run.level.new_level), "{}", run.name);
         let device = run.get(&run.level.new_level);
-        let mut thin = reference::thin_liquid(grid, &level);
+        let thin = reference::thin_liquid(grid, &level);
         let marks = gpu.download(&run.level.thin).unwrap();
         for cell in (0..thin.len()).filter(|&cell| run.in_band[cell]) {
             let index = run.liquid.padded.index(grid.cell_at(cell));
             let mark = marks[index / 4] >> (index % 4) & 1 == 1;
-            // The place below is up to 6.5 cells away, in a direction that is off by the roundings of differences of up to 10 cells, over a
-            // slope of 0.1 at least: 4e-5 cells, times the slope there. One level in 10,000 is that close to the bound.
-            let below = reference::level_below(grid, &level, cell);
-            if mark != thin[cell] {
-                assert!((below + 1.25).abs() < 4e-4, "{}: thin {cell}, {below}", run.name);
-                close += 1;
-                thin[cell] = mark;
-            }
+            assert_eq!(mark, thin[cell], "{}: thin {cell}", run.name);
         }
         let mut twin = reference::bound_level(run.cells(), &fraction, &thin, &level);
         let by_markers = twin.clone();
@@ -325,7 +318,7 @@ fn markers_bound_the_level_as_in_the_twin() {
             changed[usize::from(thin[cell])] += usize::from(by_markers[cell] != level[cell]);
         }
     }
-    assert!(changed.iter().all(|&n| n > 500) && raised > 500 && close <= 20, "{changed:?}, {raised}, {close}");
+    assert!(changed.iter().all(|&n| n > 500) && raised > 500, "{changed:?}, {raised}");
 }
 
 #[test]

@@ -19,10 +19,6 @@ const PASS: f64 = 24.0;
 /// Passes of the distance in `redistance`, and what comes after them.
 const PASSES: f64 = 12.0;
 
-/// Rounding of the level that tells thin liquid, cells: its place is off by the rounding of a direction, 4e-5 cells, where slopes of
-/// the level reach 10.
-const THIN_ERROR: f64 = 4e-4;
-
 /// The liquid after a stage, and its level before and after.
 #[derive(Clone, Copy)]
 pub(super) struct Change<'a> {
@@ -256,27 +252,20 @@ impl LiquidComparison<'_> {
         }
     }
 
-    /// Cells of thin liquid by a level, and with its bound moved by the rounding either way.
-    fn thin(&self, level: &[f64]) -> [Vec<bool>; 3] {
-        let below: Vec<f64> = (0..level.len()).map(|cell| reference::level_below(&self.grid, level, cell)).collect();
-        [0.0, -THIN_ERROR, THIN_ERROR].map(|by| below.iter().map(|&below| below >= reference::THIN + by).collect())
-    }
-
     /// A root of 1 - |q| near 0 spreads its rounding; the smoothed occupancy is a mean of 27.
     pub(super) fn bound_level(&mut self, Change { after, before, now }: Change) {
         let carried = self.with_air(after, &before.carried);
         let occupancy = &before.occupancy;
-        let bounded = |occupancy: &[f64], thin: &[bool]| {
-            let mut level = reference::bound_level(self.level_cells(), occupancy, thin, &carried);
+        let thin = reference::thin_liquid(&self.grid, &carried);
+        let bounded = |occupancy: &[f64]| {
+            let mut level = reference::bound_level(self.level_cells(), occupancy, &thin, &carried);
             reference::raise_separated(&before.separation_bounds, &mut level);
             level
         };
-        let [thin, fewer, more] = self.thin(&carried);
-        let mut twins = self.twins(occupancy, 4.0 * EPS, |moved| {
+        let twins = self.twins(occupancy, 4.0 * EPS, |moved| {
             let known = occupancy.iter().zip(moved).map(|(&f, &moved)| if f == UNKNOWN { f } else { moved });
-            bounded(&known.collect::<Vec<_>>(), &thin)
+            bounded(&known.collect::<Vec<_>>())
         });
-        twins.extend([fewer, more].map(|thin| bounded(occupancy, &thin)));
         self.band_cells(["phi", "cells"], after, &now.level, &twins, PASS * EPS * REACH);
     }
 
@@ -294,13 +283,11 @@ impl LiquidComparison<'_> {
 
     pub(super) fn filter_level(&mut self, Change { after, before, now }: Change) {
         let level = self.with_air(after, &before.level);
-        let [thin, others @ ..] = self.thin(&self.with_air(after, &before.carried));
+        let thin = reference::thin_liquid(&self.grid, &self.with_air(after, &before.carried));
         let bound = PASS * EPS * REACH;
-        let filtered = |thin: &[bool], level: &[f64]| {
-            reference::filter_level(self.level_cells(), thin, self.courant.min(1.0), level)
-        };
-        let mut twins = self.twins(&level, bound, |level| filtered(&thin, level));
-        twins.extend(others.map(|thin| filtered(&thin, &level)));
+        let twins = self.twins(&level, bound, |level| {
+            reference::filter_level(self.level_cells(), &thin, self.courant.min(1.0), level)
+        });
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 
