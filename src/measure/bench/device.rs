@@ -28,6 +28,9 @@ const LONG_ENOUGH: f64 = 0.02;
 const MOST: usize = 1 << 14;
 
 /// Measures all quantities: device.csv, device.json.
+///
+/// # Errors
+/// [`Error::Output`] and [`Error::Input`] for the folder, before any work; later the errors of the device.
 pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let bench = Bench {
         name: "device",

@@ -1,7 +1,10 @@
 //! `bench effects`: time, bytes and dispatches that each effect of a scene adds to a sub-step, and the cost of each output of a frame.
 //!
-//! From the state after each frame, a sub-step runs with all effects and without one of them, in alternating order. Bytes are those of all buffers at
-//! the end. `liquid` and `solids` include their coupling. Every output is timed on the same states ([`super::outputs`]).
+//! From the state after each frame, a sub-step runs with all effects and without one of them, in alternating order. The seconds that an effect adds are
+//! the median of the paired differences, with an interval that contains their true median. Bytes are those of all buffers at the end. Dispatches of
+//! the solve depend on its iterations and have their own column. Every output is timed on the same states ([`super::outputs`]).
+//!
+//! `liquid` and `solids` include their coupling. The row [`COUPLING`] is the scene less its liquid alone less its solids alone.
 
 mod left_out;
 pub mod pairs;
@@ -72,6 +75,9 @@ columns! {
 }
 
 /// Measures all scenes: effects.csv, effects_outputs.csv, effects.json, effects.svg. Failures: scenes with absent effects that have a cost.
+///
+/// # Errors
+/// [`Error::Output`], before any work if the folder cannot be written; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let bench = Bench {
         name: "effects",

@@ -106,7 +106,8 @@ impl Results {
         rows(&self.tables, name)
     }
 
-    /// An error with all failed checks.
+    /// # Errors
+    /// [`Error::Check`] with all failed checks.
     pub fn verdict(&self) -> Result<(), Error> {
         if self.failures.is_empty() { Ok(()) } else { Err(Error::Check(self.failures.join("\n  "))) }
     }
@@ -178,7 +179,10 @@ pub(crate) struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// Locks the folder, reads the rows to keep or removes files of an earlier run, and writes the JSON file. `request`: options that determine the
-    /// rows; those of an earlier run must have been the same.
+    /// rows.
+    ///
+    /// # Errors
+    /// [`Error::Output`] if the folder cannot be written, [`Error::Input`] if another process writes into it or an earlier run had another request.
     pub(crate) fn start(
         bench: Bench,
         machine: Machine,

@@ -122,7 +122,8 @@ columns! {
 /// Measures all systems: solve.csv, solve_against.csv, solve_growth.csv, solve.json, solve.svg.
 ///
 /// # Errors
-/// Before any work [`Error::Limit`] and [`Error::Memory`] for a grid that is too large; [`Error::Check`] if a solve is not reproducible.
+/// Before any work [`Error::Limit`] and [`Error::Memory`] for a grid that is too large; [`Error::Output`]; [`Error::Check`] if a solve is not
+/// reproducible.
 pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let capacity = Capacity::new(gpu.report());
     options.grids.iter().try_for_each(|&grid| capacity.check(grid, &options.solvers))?;

@@ -69,7 +69,10 @@ impl Options {
         self.cases.is_empty() || self.cases.iter().any(|part| name.contains(part))
     }
 
-    /// Refuses parts that no name contains; the error has similar names.
+    /// Refuses parts that no name contains.
+    ///
+    /// # Errors
+    /// [`Error::Input`] with similar names.
     pub fn check(&self, names: &[String]) -> Result<(), Error> {
         let known = |part: &str| !part.is_empty() && names.iter().any(|name| name.contains(part));
         let Some(part) = self.cases.iter().find(|part| !known(part)) else { return Ok(()) };
@@ -131,6 +134,9 @@ columns! {
 
 /// Runs all selected cases: stability.csv, stability_limit.csv, stability.json, stability.svg, and scenes/NAME.toml for `cutwater run`. Failed
 /// cases are rows like others and failures of the results.
+///
+/// # Errors
+/// [`Error::Input`] for a part that no name contains; [`Error::Adapter`]; [`Error::Output`].
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let mut cases = cases(options.steps, options.scale)?;
     let limits = limits();
@@ -285,7 +291,10 @@ fn non_finite(state: &State, report: &StepReport) -> usize {
 }
 
 impl Case {
-    /// Runs the case. A failure is the status of the row, but without an adapter no case can run.
+    /// Runs the case; a failure is the status of the row.
+    ///
+    /// # Errors
+    /// [`Error::Adapter`].
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         let clock = Instant::now();
         let mut row = self.row(backend);

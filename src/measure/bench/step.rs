@@ -77,7 +77,7 @@ columns! {
 /// Measures all scenes: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg, rewritten after each run.
 ///
 /// # Errors
-/// [`Error::Check`] where the runs of a scene differ.
+/// [`Error::Output`]; [`Error::Check`] where the runs of a scene differ; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let stage: &[&str] = &["scene", "scale", "solids_scale", "kind", "stage"];
     let key = &stage[..stage.len() - 1];

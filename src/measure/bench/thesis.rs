@@ -87,7 +87,7 @@ impl Options {
 /// thesis.json, thesis.svg.
 ///
 /// # Errors
-/// [`Error::Input`] for grids and frames that the problems do not have, and missing scenes.
+/// [`Error::Input`] for grids and frames that the problems do not have, and missing scenes; [`Error::Output`]; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     options.check()?;
     let gpu = Gpu::new(&options.adapter)?;

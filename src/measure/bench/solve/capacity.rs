@@ -20,6 +20,9 @@ pub const PER_CELL: u64 = 8 * (14 + 11 + 7 + 5 + 2);
 
 /// Cells along an edge of the largest base block that fits on the adapter and this machine with any of these solvers: a multiple of 10. Memory of solvers on
 /// the CPU is not included.
+///
+/// # Errors
+/// [`Error::Limit`] and [`Error::Memory`] if 10 cells do not fit.
 pub fn largest_grid(adapter: &AdapterReport, solvers: &[Solver]) -> Result<usize, Error> {
     let mut capacity = Capacity::new(adapter);
     // The bench checks again when it begins; other programs may use some memory until then.
@@ -44,6 +47,9 @@ impl<'a> Capacity<'a> {
     }
 
     /// Refuses a grid that is too large; the cure names the largest that fits.
+    ///
+    /// # Errors
+    /// [`Error::Limit`], [`Error::Memory`].
     pub fn check(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
         let mut checked = self.fits(grid, solvers);
         if let Err(Error::Limit { cure, .. } | Error::Memory { cure, .. }) = &mut checked {

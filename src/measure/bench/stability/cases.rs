@@ -131,6 +131,9 @@ struct Matrix {
 
 /// All cases. `steps`: sub-steps of each hostile case; the thesis's variants have their own. `scale`: factor of the cells of the thesis's
 /// scene.
+///
+/// # Errors
+/// [`Error::Input`] where `cases.toml` is not valid TOML.
 pub fn cases(steps: u64, scale: f64) -> Result<Vec<Case>, Error> {
     let Matrix { scene, hostile, thesis } = from_toml("cases.toml of bench stability", CASES)?;
     let hostile = hostile.into_iter().map(|case| {

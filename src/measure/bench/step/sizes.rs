@@ -27,6 +27,9 @@ impl Case {
 
     /// The scene with refined meshes of its solids. Bricks along the axes of boxes are multiplied by the scale, rounded, at least 1; edge lengths in
     /// balls, shells and filled surfaces are divided by it. Meshes from files do not change.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the scale is not a number above 0.
     pub fn new(mut scene: Scene, solids_scale: f64) -> Result<Case, Error> {
         if !(solids_scale.is_finite() && solids_scale > 0.0) {
             let cure = "give numbers above 0, such as 0.5,1";
@@ -48,6 +51,9 @@ impl Case {
 }
 
 /// Largest scale that fits on the adapter and into nine tenths of this machine's free memory, as `plan` computes it. `load`: the case at a scale.
+///
+/// # Errors
+/// Errors of `load` at scale 1, and [`Error::Limit`] and [`Error::Memory`] at the least grid.
 pub fn largest_scale(load: &dyn Fn(f64) -> Result<Case, Error>, adapter: &AdapterReport) -> Result<f64, Error> {
     let cells = load(1.0)?.scene.domain.cells;
     let fits = |scale: f64| {
