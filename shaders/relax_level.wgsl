@@ -128,10 +128,11 @@ fn relax_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     let way = select(vec4<f32>(1.0), vec4<f32>(-1.0), phi < vec4<f32>());
     let gradient = lengths(upwind(along_x, way), upwind(along_y, way), upwind(along_z, way));
     let m = lengths(steepness(along_x), steepness(along_y), steepness(along_z));
-    let kept = ((vec4<f32>(LEAST_GRADIENT) < m) & (m < vec4<f32>(LARGEST_GRADIENT)))
-        | kinks(along_x) | kinks(along_y) | kinks(along_z);
+    let interface_lanes = near & at_interface;
+    let steep = lane_bits(interface_lanes & (m >= vec4<f32>(LARGEST_GRADIENT)));
+    let kept = (m > vec4<f32>(LEAST_GRADIENT)) | kinks(along_x) | kinks(along_y) | kinks(along_z);
     // Interface cells that change unless a neighbour across is at a kink.
-    var changed = lane_bits(near & at_interface & !kept);
+    var changed = lane_bits(interface_lanes & !kept);
     var faces = differs & changed * 0x111111u;
     let strides = vec3<u32>(1u, 4u * level.stride_y, 4u * level.stride_z);
     while faces != 0u {
@@ -148,6 +149,6 @@ fn relax_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     let hidden = ((gradient < vec4<f32>(LEAST_SLOPE)) & (of_bodies < vec4<f32>(step.dx))) | upwind_in_body(along_x, way, bodies, 0u)
         | upwind_in_body(along_y, way, bodies, 1u) | upwind_in_body(along_z, way, bodies, 2u);
     let away = select(phi, phi - STEP * way * (gradient - 1.0), near & !at_interface & !hidden);
-    let relaxed = select(away, phi - STEP * (phi - phi / max(m, vec4<f32>(1e-9))), bit_lanes(changed));
+    let relaxed = select(away, phi - STEP * (phi - phi / max(m, vec4<f32>(1e-9))), bit_lanes(changed | steep));
     new_level[quad] = select(new_level[quad], relaxed, open_lanes);
 }

@@ -15,9 +15,10 @@
 //!
 //! Step (c) changes no cell at a body where |grad f| < 1/2, or where a slope of Godunov's gradient is one to a cell of a body, and above 0.1. That cell has the
 //! extension of its neighbour's own value: without this rule, differences from a plane grew by 1.4 in every sub-step, and water
-//! beside a floating ball reached 12 m/s. (c) is the relaxation of Sussman et al. (1994). An interface cell changes only if its gradient
-//! m is outside [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
-//! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where m is undefined.
+//! beside a floating ball reached 12 m/s. (c) is the relaxation of Sussman et al. (1994). An interface cell changes, f -= 0.4 (f - phi / m),
+//! only if its gradient m is above 1.4, or below 0.7 without a kink at it or at a neighbour across the interface. A kink has
+//! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where a small m means nothing. A
+//! large one does: a film of one cell that leaves thicker liquid has its depth, and would be too thick by that.
 //!
 //! Liquid that leaves a wall has its surface between a cell and the wall ([`separated_level`](super::separated_level)). That cell is at the interface, and
 //! its value does not change.
@@ -160,10 +161,8 @@ fn relaxed(cells: LevelCells, f: &[f64], cell: usize) -> f64 {
     let mut across =
         Axis::ALL.into_iter().flat_map(|axis| cells.beside(cell, axis)).filter(|&other| (f[other] < 0.0) != inside);
     let m = steepness(cells, f, cell);
-    let keep = (GRADIENTS[0] < m && m < GRADIENTS[1])
-        || at_kink(cells, f, cell)
-        || across.any(|other| at_kink(cells, f, other));
-    match keep {
+    let keep = m > GRADIENTS[0] || at_kink(cells, f, cell) || across.any(|other| at_kink(cells, f, other));
+    match keep && m < GRADIENTS[1] {
         true => phi,
         false => phi - STEP * (phi - phi / m.max(1e-9)),
     }
