@@ -123,16 +123,20 @@ impl LiquidComparison<'_> {
         }
     }
 
-    /// The normal of a body is off by the rounding of two distances over their difference, at least half a cell.
+    /// The normal of a body is off by the rounding of two distances over their difference, at least half a cell. A path back that ends at
+    /// a body may enter it or not.
     fn separated_level(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot, level: &[f64]) {
         let velocity = &self.before.velocity;
         let finite = |bounds: &[f64]| -> Vec<f64> { bounds.iter().map(|bound| bound.max(-REACH)).collect() };
         let motion = self.dt() * reference::max_speed(velocity) / self.grid.dx;
         let bound = EPS * (PASS * REACH + 16.0 * self.extent() * motion);
-        let twins = self.twins(level, EPS * REACH, |level| {
-            let separated = &self.before.separated;
-            finite(&reference::separated_level(self.level_cells(), velocity, separated, level, self.dt()))
-        });
+        let separated = |velocity: &_, level: &[f64]| {
+            let before = &self.before.separated;
+            finite(&reference::separated_level(self.level_cells(), velocity, before, level, self.dt()))
+        };
+        let mut twins = self.twins(level, EPS * REACH, |level| separated(velocity, level));
+        let by = 16.0 * EPS * reference::max_speed(velocity);
+        twins.extend((0..PATTERNS).map(|pattern| separated(&moved_faces(velocity, by, pattern), level)));
         self.band_cells(["bound", "cells"], after, &finite(&now.separation_bounds), &twins, bound);
     }
 
