@@ -3,12 +3,16 @@
 //! ```text
 //! h_k = clamp(dV_k min(1, dt / t_f) / A_k, -h / 4, h),   h = min(0.16 max(1, C^2 / 9), 2),
 //! A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
-//! phi -= h_k
+//! phi -= h_k + clamp(2 s, 0, 1) max(min(D_k / A_k, 1) - h_k, 0)         the latter only where D_k > 0
 //! ```
 //!
 //! in cells and cell volumes. C is the Courant number of the surface: the errors of its transport are of second order. dV_k is the
 //! target less the volume, less a dead band of 0.5 % of the target. The measured volume of a wave changes by that much at constant
-//! true volume, and a shift by it would amplify the wave. Enclosed components have no surface to move.
+//! true volume, and a shift by it would amplify the wave.
+//!
+//! D_k is what lacks beyond 2.5 % of the target. Liquid that lands moves into the floor by up to its way in a sub-step, and regains that
+//! volume at once. Not where the distance s to a body is 0: a pocket of air beside one would get cells with hardly any liquid, which squirt.
+//! Enclosed components have no surface to move.
 
 use rayon::prelude::*;
 
@@ -17,6 +21,9 @@ use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
 pub(super) const DEAD_BAND: f64 = 0.005;
+/// Part of the target beyond which what lacks returns at once, and by how far at most, cells.
+const MAY_LACK: f64 = 0.025;
+const AT_ONCE: f64 = 1.0;
 /// Largest shift outwards in a sub-step, cells.
 const LARGEST: f64 = 0.16;
 /// Bound of the same in sub-steps of any length, cells: air further from liquid does not move.
@@ -33,10 +40,14 @@ pub fn largest_shift(courant: f64) -> f64 {
     (LARGEST * (courant / LONG).powi(2).max(1.0)).min(MOST)
 }
 
-/// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s; `largest` from [`largest_shift`]. Returns the shifts, cells.
+/// Distance from bodies from which all that lacks returns at once, cells.
+const BESIDE_BODY: f64 = 0.5;
+
+/// Shifts the liquid distance (m). `open`: open volumes, m^3, and distances to bodies, m, of the cells; `volume_0`: targets, m^3; `control_time` and `dt` in s; `largest` from [`largest_shift`]. Returns the
+/// largest shifts, cells.
 pub fn volume_shift(
     grid: &Grid,
-    open_volumes: &[f64],
+    [open_volumes, solid_distance]: [&[f64]; 2],
     components: &Components,
     volume_0: &[f64],
     ([control_time, dt], largest): ([f64; 2], f64),
@@ -49,17 +60,24 @@ pub fn volume_shift(
             area[label as usize - 1] += open_volumes[cell] * near;
         }
     }
+    // h_k, and what returns at once beyond it.
     let shift = |k: usize| {
         let lacks = volume_0[k] - components.volume[k];
-        let dead = DEAD_BAND * volume_0[k].abs();
-        let lacks = lacks.signum() * (lacks.abs() - dead).max(0.0);
-        match components.enclosed[k] || area[k] <= LEAST_AREA * grid.cell_volume() {
-            true => 0.0,
-            false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-INWARDS * largest, largest),
+        let beyond = |part: f64| lacks.signum() * (lacks.abs() - part * volume_0[k].abs()).max(0.0);
+        if components.enclosed[k] || area[k] <= LEAST_AREA * grid.cell_volume() {
+            return [0.0; 2];
         }
+        let in_time = beyond(DEAD_BAND) * (dt / control_time).min(1.0) / area[k];
+        let in_time = in_time.clamp(-INWARDS * largest, largest);
+        let at_once = (beyond(MAY_LACK).max(0.0) / area[k]).min(AT_ONCE);
+        [in_time, if at_once > 0.0 { (at_once - in_time).max(0.0) } else { 0.0 }]
     };
-    let shifts: Vec<f64> = (0..volume_0.len()).map(shift).collect();
-    let cells = liquid_distance.par_iter_mut().zip(&components.label);
-    cells.filter(|(_, label)| **label > 0).for_each(|(phi, &label)| *phi -= grid.dx * shifts[label as usize - 1]);
-    shifts
+    let shifts: Vec<[f64; 2]> = (0..volume_0.len()).map(shift).collect();
+    let cells = liquid_distance.par_iter_mut().zip(&components.label).zip(solid_distance);
+    cells.filter(|((_, label), _)| **label > 0).for_each(|((phi, &label), distance)| {
+        let [in_time, at_once] = shifts[label as usize - 1];
+        let part = (distance / (BESIDE_BODY * grid.dx)).clamp(0.0, 1.0);
+        *phi -= grid.dx * (in_time + part * at_once);
+    });
+    shifts.into_iter().map(|[in_time, at_once]| in_time + at_once).collect()
 }

@@ -7,7 +7,8 @@ use cutwater::reference::{
     Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level, advect_level_markers,
     advect_velocity_maccormack, balance, bound_level, cap_targets, excess, extend_level, extrapolate_with_slope,
     face_mass, filter_level, first_markers, interpolant_part, land, landing_faces, largest_shift, liquid_components,
-    marker_band, marker_weights, occupancy, open_volumes, redistance, spray, take_landing, thin_liquid, volume_shift,
+    marker_band, marker_weights, occupancy, open_volumes, raise_separated, redistance, separated_level, spray,
+    take_landing, thin_liquid, volume_shift,
 };
 use cutwater::scene::Scene;
 use cutwater::state::State;
@@ -24,6 +25,18 @@ fn grid(cells: [usize; 3]) -> Grid {
 /// Closed walls, no bodies.
 fn without_bodies(grid: &Grid) -> CutCells {
     ObstacleCut::none(grid).cut
+}
+
+/// Closed walls and a body, whose depth (cells) is a function of positions in cells. Faces with their centre in it are closed.
+fn with_body(grid: &Grid, depth: impl Fn(DVec3) -> f64) -> CutCells {
+    let mut cut = without_bodies(grid);
+    cut.solid_distance = field(grid, |x| -DX * depth(x));
+    for axis in Axis::ALL {
+        let inside = |face| depth(grid.face_centre(axis, grid.face_at(axis, face)) / DX) > 0.0;
+        let closed = (0..grid.n_faces(axis)).filter(|&face| inside(face));
+        closed.for_each(|face| cut.open[axis.index()][face] = 0.0);
+    }
+    cut
 }
 
 /// A function of the cell centres, in cells.
@@ -212,19 +225,8 @@ fn bounds_move_a_level_that_markers_contradict_alone() {
 #[test]
 fn redistance_leaves_no_surface_in_a_body_that_liquid_has_met() {
     let grid = grid([12, 20, 4]);
-    let mut cut = without_bodies(&grid);
     let wide = |x: DVec3| (x.x - 6.0).abs() < 4.0;
-    let body = |x: DVec3| (5.8 - x.y).min(4.0 - (x.x - 6.0).abs());
-    cut.solid_distance = field(&grid, |x| DX * -body(x));
-    let half = |axis: Axis| 0.5 * DVec3::AXES[axis.index()];
-    for axis in Axis::ALL {
-        for face in 0..grid.n_faces(axis) {
-            let x = grid.face_centre(axis, grid.face_at(axis, face)) / DX;
-            if body(x + 1e-3 * half(axis)) > 0.0 {
-                cut.open[axis.index()][face] = 0.0;
-            }
-        }
-    }
+    let cut = with_body(&grid, |x| (5.8 - x.y).min(4.0 - (x.x - 6.0).abs()));
     let cells = LevelCells { grid: &grid, cut: &cut };
     let redistanced = |f: &dyn Fn(DVec3) -> f64| {
         let mut level = field(&grid, |x| f(x).clamp(-5.0, 5.0));
@@ -247,6 +249,32 @@ fn redistance_leaves_no_surface_in_a_body_that_liquid_has_met() {
     let film = |x: DVec3| x.y - 6.2;
     let after = redistanced(&film);
     close(after[at(6, 6)], 0.3, 0.05);
+}
+
+/// A plate of 2.4 cells with water on it. With the velocity of liquid that leaves the plate downwards, the level of the water would
+/// appear below. A film at the underside leaves it.
+#[test]
+fn liquid_does_not_leave_through_a_plate() {
+    let grid = grid([4, 20, 4]);
+    let cut = with_body(&grid, |x| 1.2 - (x.y - 10.2).abs());
+    let cells = LevelCells { grid: &grid, cut: &cut };
+    let velocity = faces(&grid, |x| if x.y < 10.2 { DVec3::new(0.0, -2.8 * DX, 0.0) } else { DVec3::ZERO });
+    let after = |f: &dyn Fn(f64) -> f64| {
+        let mut level = field(&grid, |x| f(x.y).clamp(-5.0, 5.0));
+        extend_level(&grid, &cut, &mut level);
+        let mut after = advect_level(&grid, Sides::default(), &velocity, &Ballistic::NONE, &level, 1.0);
+        let below = after[grid.cell([1, 7, 1])];
+        let bounds = separated_level(cells, &velocity, &vec![false; grid.n_cells()], &level, 1.0);
+        raise_separated(&bounds, &mut after);
+        [below, after[grid.cell([1, 7, 1])], level[grid.cell([1, 8, 1])]]
+    };
+    let pool = |y: f64| if y > 10.2 { y - 14.0 } else { 9.0 - y + 3.0 };
+    let [carried, bounded, at_plate] = after(&pool);
+    assert!(carried < 0.0 && bounded > 0.0, "{carried}, {bounded}");
+    assert!((2.0..=at_plate).contains(&bounded), "{bounded}, {at_plate}");
+    let film = |y: f64| if y > 10.2 { y - 14.0 } else { 7.9 - y };
+    let [carried, bounded, _] = after(&film);
+    assert!(carried < 0.0 && bounded == carried, "{carried}, {bounded}");
 }
 
 #[test]
@@ -275,6 +303,32 @@ fn redistance_keeps_the_interface_cells_of_a_plane() {
     let ratios: Vec<f64> = inner(&grid, 6).filter(near).map(|cell| steep[cell] / plane[cell]).collect();
     let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
     assert!(ratios.iter().all(|&ratio| ratio > 0.0) && mean < 1.45, "{mean}");
+}
+
+/// A film of one cell with the depth of thicker liquid, -2, gets slopes of at most 1.4 without a change of its thickness, 1.6 cells between
+/// air of 0.5. A film with slopes of 1 stays.
+#[test]
+fn redistance_restores_the_depth_of_a_film() {
+    let grid = grid([20, 12, 12]);
+    let cut = without_bodies(&grid);
+    let cells = LevelCells { grid: &grid, cut: &cut };
+    let film = |depth: f64| {
+        field(&grid, |x| match (x.y - 6.5).abs() {
+            below if below < 0.5 => -depth,
+            below => below - 0.5,
+        })
+    };
+    let centre = grid.cell([10, 6, 6]);
+    let mut deep = film(2.0);
+    for _ in 0..20 {
+        deep = redistance(cells, &[], &deep);
+    }
+    let [depth, air] = [-deep[centre], deep[grid.cell([10, 7, 6])]];
+    assert!((1.0..1.4).contains(&(depth + air)), "{depth}, {air}");
+    close(depth / (depth + air), 0.8, 0.1);
+    let shallow = film(0.5);
+    let after = redistance(cells, &[], &shallow);
+    assert_eq!([after[centre], after[grid.cell([10, 7, 6])]], [-0.5, 0.5]);
 }
 
 #[test]
@@ -325,21 +379,25 @@ fn the_shift_restores_the_volume_of_each_component() {
     let grid = grid([8, 12, 8]);
     let cut = without_bodies(&grid);
     let volumes = open_volumes(&grid, &cut.solid_distance);
+    let open = [&volumes[..], &cut.solid_distance];
     let mut distance = field(&grid, |x| DX * (x.y - 6.2));
     let measure = |distance: &[f64]| {
         let level: Vec<f64> = distance.iter().map(|phi| phi / DX).collect();
         liquid_components(&grid, &cut.open, &volumes, &level)
     };
     let target = 64.0 * 6.6 * grid.cell_volume();
-    for _ in 0..200 {
+    for n in 0..200 {
         let components = measure(&distance);
-        volume_shift(&grid, &volumes, &components, &[target], ([0.1, 0.02], largest_shift(1.0)), &mut distance);
+        volume_shift(&grid, open, &components, &[target], ([0.1, 0.02], largest_shift(1.0)), &mut distance);
+        // What lacks beyond 2.5 % returns at once.
+        let allowed = if n == 0 { 0.02501 } else { 0.025 };
+        assert!(measure(&distance).volume[0] >= (1.0 - allowed) * target);
     }
     let volume = measure(&distance).volume[0];
     close(volume / target, 1.0, 0.0051);
     // Enclosed liquid does not move.
     let components = Components { enclosed: vec![true], ..measure(&distance) };
-    let shifts = volume_shift(&grid, &volumes, &components, &[9.0], ([0.1, 0.02], largest_shift(1.0)), &mut distance);
+    let shifts = volume_shift(&grid, open, &components, &[9.0], ([0.1, 0.02], largest_shift(1.0)), &mut distance);
     assert_eq!(shifts, [0.0]);
 }
 

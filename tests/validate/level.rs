@@ -15,6 +15,7 @@ pub(crate) fn cases() -> Vec<Case> {
         Case::new("F13/rest", rest),
         Case::new("F13/falling", falling),
         Case::new("F13/jets", jets),
+        Case::new("F13/splashes", splashes),
     ]
 }
 
@@ -298,4 +299,62 @@ fn rise_of_jet(frames: u32) -> f64 {
     // From two cells beside the nozzle.
     let middles = columns[14..].iter().filter(|[sum, _]| *sum > 0.0).map(|[sum, moment]| moment / sum);
     middles.fold(0.0, f64::max) - 0.125
+}
+
+/// Liquid that collides and spreads keeps its volume within 10 % at every moment.
+fn splashes(sheet: &mut Sheet) {
+    // A disc of both drops that is a cell thick has a radius of 0.47 m, which it reaches after this time.
+    let until = 0.3;
+    let drops = "sphere = { centre = [0.27, 0.51, 0.52], radius = 0.15 }\nvelocity = [1, 0, 0]\n[[liquid.region]]\n\
+                 sphere = { centre = [0.75, 0.51, 0.52], radius = 0.15 }\nvelocity = [-1, 0, 0]\n";
+    for frames in [24, 96] {
+        let text = format!(
+            "[domain]\nsize = [1, 1, 1]\ncells = [24, 24, 24]\ngravity = [0, 0, 0]\n[time]\nduration = {until}\n\
+             frames_per_second = {frames}\n[liquid]\nsurface = \"level\"\n[[liquid.region]]\n{drops}"
+        );
+        let what = format!("two drops that meet, {frames} frames/s");
+        let energies = volume_within(sheet, &what, &text, until, 0.1);
+        let largest = energies.iter().copied().fold(0.0, f64::max);
+        sheet.info(&format!("{what}: largest kinetic energy over the first"), format!("{:.2}", largest / energies[0]));
+    }
+    let text = "[domain]\nsize = [0.24, 0.24, 0.24]\ncells = [24, 24, 24]\n[time]\nduration = 0.5\n[liquid]\nsurface = \"level\"\n\
+                [[source]]\nbox = { min = [0, 0.16, 0.10], max = [0.02, 0.20, 0.14] }\nvelocity = [4, 0, 0]\nend = 0.4\n";
+    volume_within(sheet, "jet of 4 m/s and 4 cells into a tank", text, 0.5, 0.1);
+    let bars = [[-0.1, 0.17], [0.29, 0.44], [0.56, 0.71], [0.83, 1.1]].map(|[low, high]| {
+        format!(
+            "[[obstacle]]\nbox = {{ min = [-0.1, 0.75, {low}], max = [1.1, 0.85, {high}] }}\n\
+             [[obstacle]]\nbox = {{ min = [{low}, 0.75, -0.1], max = [{high}, 0.85, 1.1] }}\n"
+        )
+    });
+    let text = format!(
+        "[domain]\nsize = [1, 1.3333333333333333, 1]\ncells = [24, 32, 24]\n[time]\nduration = 1.5\n[liquid]\nsurface = \"level\"\n\
+         [[liquid.region]]\nbox = {{ min = [0, 0.85, 0], max = [1, 1.1, 1] }}\n{}",
+        bars.concat()
+    );
+    volume_within(sheet, "water through nine holes of 3 cells in a plate", &text, 1.5, 0.1);
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [24, 24, 24]\n[time]\nduration = 1\n[liquid]\nsurface = \"level\"\n\
+                [[liquid.region]]\nbox = { min = [0, 0.5, 0], max = [1, 0.75, 1] }\n";
+    let ratios = volumes(text, 1.0).into_iter().map(|(ratio, _)| ratio);
+    let least = ratios.fold(f64::INFINITY, f64::min);
+    sheet.at_most("slab of 6 cells that fills the cross-section and falls by 12: lost volume", 1.0 - least, 0.03);
+}
+
+/// Reports the largest difference of the volume from its target over that. Returns the kinetic energies after the sub-steps, J.
+fn volume_within(sheet: &mut Sheet, what: &str, text: &str, until: f64, allowed: f64) -> Vec<f64> {
+    let (ratios, energies): (Vec<f64>, Vec<f64>) = volumes(text, until).into_iter().unzip();
+    let worst = ratios.into_iter().map(|ratio| (ratio - 1.0).abs()).fold(0.0, larger);
+    sheet.at_most(&format!("{what}: largest difference of its volume"), worst, allowed);
+    energies
+}
+
+/// Volume over its target and kinetic energy, J, after each sub-step.
+fn volumes(text: &str, until: f64) -> Vec<(f64, f64)> {
+    let mut simulation = simulation(&written(text), &gpu());
+    let mut volumes = Vec::new();
+    while simulation.clock().time < until - 1e-9 {
+        let report = step(&mut simulation);
+        let ratio = simulation.volume_ratio(&report).expect("there is liquid");
+        volumes.push((ratio, report.liquid.expect("there is liquid").diagnosis.kinetic_energy));
+    }
+    volumes
 }

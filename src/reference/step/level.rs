@@ -248,12 +248,12 @@ impl SubStep<'_> {
     }
 
     pub(super) fn volume_shift(&mut self) {
-        let open_volumes = self.open_volumes();
+        let open = [&self.open_volumes()[..], &self.boundary.cut_cells().solid_distance];
         let limits = (self.times(), largest_shift(self.time_step.courant));
         let components = &self.results.level.components;
         let after = &mut self.after;
         let (targets, distance) = (&after.component_volume, &mut after.liquid_distance);
-        volume_shift(&self.model.grid, &open_volumes, components, targets, limits, distance);
+        volume_shift(&self.model.grid, open, components, targets, limits, distance);
     }
 
     pub(super) fn excess(&mut self) {

@@ -352,9 +352,10 @@ impl LiquidComparison<'_> {
         let (grid, components) = (self.grid, &self.components);
         let times = [f64::from(self.step.control_time), self.dt()];
         let limits = (times, reference::largest_shift(self.courant));
+        let open = [&self.open_volumes[..], &self.cut.solid_distance];
         let shifted = |targets: &[f64]| {
             let mut distance = self.before.liquid_distance.clone();
-            reference::volume_shift(&grid, &self.open_volumes, components, targets, limits, &mut distance);
+            reference::volume_shift(&grid, open, components, targets, limits, &mut distance);
             distance
         };
         let targets = &now.component_volume;
