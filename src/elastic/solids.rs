@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::{
     Body, Deformation, Pivot, RotatingBody, Script, Solids, TimedLoad, lame_parameters, rest_shape, stress, von_mises,
@@ -418,6 +419,11 @@ impl Solids {
         let u = self.elements[element].map(|node| DVec3::from(displacement[node as usize]));
         let model = self.body_of_element(element).model;
         Deformation::new(&self.gradients[element], u, model)
+    }
+
+    /// Deformations of all elements.
+    pub fn deformations(&self, displacement: &[[f64; 3]]) -> Vec<Deformation> {
+        (0..self.elements.len()).into_par_iter().map(|element| self.deformation(element, displacement)).collect()
     }
 
     /// Von Mises stress (Pa) and det F of an element.

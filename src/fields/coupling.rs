@@ -4,8 +4,9 @@ use rayon::prelude::*;
 
 use crate::Error;
 use crate::arrays;
-use crate::geometry::counting_sort;
+use crate::geometry::{self, counting_sort};
 use crate::gpu::{Gpu, Variant, WG_SIZE, groups};
+use crate::grid::Grid;
 
 use super::pressure_system::{FOLD_THREADS, SolverBuffers};
 use super::solid_system::SolidSystemBuffers;
@@ -56,6 +57,19 @@ pub struct Pair {
     pub node: usize,
     /// Area over dx^2 times the unit normal into the solid, shared out by the weights at the patch's centroid.
     pub value: [f32; 3],
+}
+
+impl Pair {
+    /// All pairs of a coupling matrix J, whose areas are in m^2.
+    pub fn all(coupling: &geometry::Coupling, grid: &Grid) -> Vec<Pair> {
+        let (padded, area) = (grid.padded(), grid.dx * grid.dx);
+        let pairs = coupling.pairs().par_iter().map(|pair| Pair {
+            cell: padded.index(grid.cell_at(pair.cell)),
+            node: pair.node,
+            value: (pair.value / area).as_vec3().to_array(),
+        });
+        pairs.collect()
+    }
 }
 
 /// How much room there is.

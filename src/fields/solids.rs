@@ -66,6 +66,21 @@ pub struct SolidPlan {
 }
 
 impl SolidPlan {
+    /// Sizes of solids without scripts and obstacles.
+    pub fn new(grid: Grid, solids: &Solids, real: Real) -> SolidPlan {
+        SolidPlan {
+            grid,
+            n_nodes: solids.rest.len(),
+            n_elements: solids.elements.len(),
+            n_turning: solids.rotating_bodies().count(),
+            n_free: solids.free_bodies().count(),
+            scripts: false,
+            obstacles: false,
+            n_moving: 0,
+            real,
+        }
+    }
+
     /// Entries of [`SolidBuffers::gaps`].
     fn n_gaps(&self) -> usize {
         (1 + usize::from(self.obstacles) + usize::from(self.n_moving > 0)) * self.n_nodes

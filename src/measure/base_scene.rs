@@ -1,7 +1,7 @@
 //! The base scene on a device: both systems and J between them, for benches and tests of coupled solvers.
 
 use crate::Error;
-use crate::elastic::Bounds;
+use crate::elastic::{Body, Bounds};
 use crate::fields::{
     CouplingBuffers, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers, SolverBuffers, variant,
 };
@@ -83,35 +83,18 @@ impl<'a> DeviceScene<'a> {
         let everywhere = Everywhere::new(gpu, &grid)?;
         let within = everywhere.within();
         let pressure = PressureSystem::new(gpu, &liquid, &open, &distance, within, THETA_FLOOR)?;
-        let plan = SolidPlan {
-            grid,
-            n_nodes: scene.solids.rest.len(),
-            n_elements: scene.solids.elements.len(),
-            n_turning: scene.solids.rotating_bodies().count(),
-            n_free: scene.solids.free_bodies().count(),
-            scripts: false,
-            obstacles: false,
-            n_moving: 0,
-            real: variant(gpu.has_f64(), solver.precision).real,
-        };
+        let real = variant(gpu.has_f64(), solver.precision).real;
+        let plan = SolidPlan::new(grid, &scene.solids, real);
         let fields = SolidBuffers::new(gpu, plan, &scene.solids)?;
         let solids = SolidSystemBuffers::new(gpu, &SolidRows::new(&scene.solids)?, solver)?;
         // v* of the scene includes gravity.
         gpu.upload(&fields.step, &[fields.step_of(glam::DVec3::ZERO, scene.dt)]);
         let area = grid.dx * grid.dx;
-        let pairs = system.coupling.pairs().iter().map(|pair| Pair {
-            cell: padded.index(grid.cell_at(pair.cell)),
-            node: pair.node,
-            value: (pair.value / area).as_vec3().to_array(),
-        });
-        let pairs: Vec<Pair> = pairs.collect();
+        let pairs = Pair::all(&system.coupling, &grid);
         let size = CouplingSize { quads: pairs.len(), pairs: pairs.len() };
         let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size)?;
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
-        let bounds = Bounds::new(&scene.solids);
-        let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
-        let unlimited =
-            bounds.unlimited_degree(&scene.solids, |body| [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]);
+        let zeta = |body: &Body| [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)];
         let bound = CoupledFields {
             liquid: &liquid,
             solids: &solids,
@@ -127,7 +110,7 @@ impl<'a> DeviceScene<'a> {
             rotations: element_rotations(gpu, &fields)?,
             system: SolidSystem::new(gpu, &solids, &fields, None)?,
             rhs: padded.pad(grid.cells, &rhs, |b| b),
-            polynomial: Polynomial::new(degree, bounds.block_jacobi).wanting(unlimited),
+            polynomial: Polynomial::for_solids(&Bounds::new(&scene.solids), &scene.solids, zeta),
             state: State {
                 displacement: scene.displacement.clone(),
                 node_velocity: scene.node_velocity.clone(),

@@ -120,8 +120,7 @@ pub struct SolidMatrices {
 /// Deformations, forces and stiffness for displacements of all nodes (m). Elements are added in ascending order.
 pub fn solid_matrices(solids: &Solids, pattern: &Arc<BlockPattern>, displacement: &[[f64; 3]]) -> SolidMatrices {
     let n_elements = solids.elements.len();
-    let deformations: Vec<Deformation> =
-        (0..n_elements).into_par_iter().map(|element| solids.deformation(element, displacement)).collect();
+    let deformations = solids.deformations(displacement);
     let element_forces = (0..n_elements)
         .into_par_iter()
         .map(|element| {

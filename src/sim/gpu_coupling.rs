@@ -1,7 +1,6 @@
 //! Coupling of liquid and solids on a device: clipping on the host, the coupling matrix J, and the solve for both.
 
 use glam::{DMat3, DVec3};
-use rayon::prelude::*;
 
 use crate::Error;
 use crate::effects::Effects;
@@ -480,15 +479,7 @@ impl GpuCoupling {
 
     /// J in device units.
     pub(super) fn pairs(&self, grid: &Grid) -> Vec<Pair> {
-        let (padded, area) = (grid.padded(), grid.dx * grid.dx);
-        let pairs = self.clip.coupling().pairs().par_iter();
-        pairs
-            .map(|pair| Pair {
-                cell: padded.index(grid.cell_at(pair.cell)),
-                node: pair.node,
-                value: (pair.value / area).as_vec3().to_array(),
-            })
-            .collect()
+        Pair::all(self.clip.coupling(), grid)
     }
 
     /// Integrals of n N_i (x - x_cell)^T over the patches of each pair, m^3.

@@ -115,18 +115,13 @@ pub(super) struct SolidStages {
 fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
     let effects = Effects::of(scene);
     SolidPlan {
-        grid: scene.grid(),
-        n_nodes: solids.rest.len(),
-        n_elements: solids.elements.len(),
-        n_turning: solids.rotating_bodies().count(),
-        n_free: solids.free_bodies().count(),
         scripts: effects.scripts,
         obstacles: effects.obstacles,
         n_moving: match effects.pushing_obstacles {
             true => scene.obstacles.iter().filter(|it| it.motion.is_some()).count(),
             false => 0,
         },
-        real: variant(f64, scene.solver.precision).real,
+        ..SolidPlan::new(scene.grid(), solids, variant(f64, scene.solver.precision).real)
     }
 }
 
@@ -462,9 +457,7 @@ impl GpuSolids {
 
     /// The Chebyshev preconditioner for other zeta_M (1/s) and zeta_K (s) per body.
     pub(super) fn polynomial_for(&self, zeta: impl Fn(&Body) -> [f64; 2]) -> Polynomial {
-        let degree = self.bounds.chebyshev_degree_for(&self.solids, &zeta);
-        let wanted = self.bounds.unlimited_degree(&self.solids, zeta);
-        Polynomial::new(degree, self.bounds.block_jacobi).wanting(wanted)
+        Polynomial::for_solids(&self.bounds, &self.solids, zeta)
     }
 
     /// Records the assembly of another system of this sub-step, and with `again` its right-hand side from the present

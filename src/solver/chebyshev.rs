@@ -1,5 +1,7 @@
 //! The polynomial of the solids' preconditioner.
 
+use crate::elastic::{Body, Bounds, Solids};
+
 /// Largest degree; `common/chebyshev.wgsl` has room for as many steps and one.
 pub(super) const MAX_DEGREE: usize = 64;
 
@@ -47,12 +49,13 @@ impl Polynomial {
         Polynomial { degree: degree as u32, wanted: degree as u32, pad_0: 0, pad_1: 0, weights }
     }
 
-    /// The same, of solids that ask for this degree.
-    pub fn wanting(self, degree: f64) -> Polynomial {
+    /// Polynomial of solids for their zeta_M (1/s) and zeta_K (s) per body.
+    pub fn for_solids(bounds: &Bounds, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> Polynomial {
+        let degree = bounds.chebyshev_degree_for(solids, &zeta);
         Polynomial {
             // Infinity saturates.
-            wanted: degree.ceil() as u32,
-            ..self
+            wanted: bounds.unlimited_degree(solids, zeta).ceil() as u32,
+            ..Polynomial::new(degree, bounds.block_jacobi)
         }
     }
 

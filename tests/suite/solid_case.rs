@@ -176,15 +176,10 @@ impl SolidCase {
     /// The device's buffers in this state.
     pub(crate) fn upload(&self, gpu: &Gpu, real: Real) -> SolidBuffers {
         let plan = SolidPlan {
-            grid: self.grid,
-            n_nodes: self.solids.rest.len(),
-            n_elements: self.solids.elements.len(),
-            n_turning: self.solids.rotating_bodies().count(),
-            n_free: self.solids.free_bodies().count(),
             scripts: !self.scripted.is_empty(),
             obstacles: !self.solid_distance.is_empty(),
             n_moving: self.motion.iter().len(),
-            real,
+            ..SolidPlan::new(self.grid, &self.solids, real)
         };
         let buffers = SolidBuffers::new(gpu, plan, &self.solids).unwrap();
         buffers.write_state(gpu, &self.state());

@@ -192,17 +192,7 @@ impl<'a> OnDevice<'a> {
         let grid = joint.case.grid;
         let rows = SolidRows::new(&joint.solids).unwrap();
         let solids = SolidSystemBuffers::new(gpu, &rows, &solver).unwrap();
-        let plan = SolidPlan {
-            grid,
-            n_nodes: joint.solids.rest.len(),
-            n_elements: joint.solids.elements.len(),
-            n_turning: joint.solids.rotating_bodies().count(),
-            n_free: joint.solids.free_bodies().count(),
-            scripts: false,
-            obstacles: false,
-            n_moving: 0,
-            real: liquid.buffers.variant.real,
-        };
+        let plan = SolidPlan::new(grid, &joint.solids, liquid.buffers.variant.real);
         let fields = SolidBuffers::new(gpu, plan, &joint.solids).unwrap();
         let pairs = pairs(&grid, &joint.coupling());
         let size = CouplingSize { quads: pairs.len().max(1), pairs: pairs.len().max(1) };

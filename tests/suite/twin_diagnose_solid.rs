@@ -1,6 +1,5 @@
 //! `diagnose` of the solids against its twin.
 
-use cutwater::elastic::Deformation;
 use cutwater::fields::{SolidBuffers, SolidReport};
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference;
@@ -25,9 +24,7 @@ fn words(gpu: &Gpu, buffers: &SolidBuffers) -> Vec<u32> {
 /// The twin.
 fn twin(case: &SolidCase) -> SolidDiagnosis {
     let (solids, u) = (&case.solids, &case.displacement);
-    let elements = 0..solids.elements.len();
-    let deformations: Vec<Deformation> = elements.map(|e| solids.deformation(e, u)).collect();
-    reference::diagnose_solid(solids, &deformations, u, &case.velocity, GRAVITY.into())
+    reference::diagnose_solid(solids, &solids.deformations(u), u, &case.velocity, GRAVITY.into())
 }
 
 /// Sums of the magnitudes of the terms: of a component of the momentum, of the angular momentum, of the potential energy, and of the

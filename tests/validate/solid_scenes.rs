@@ -24,7 +24,6 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use cutwater::elastic::Deformation;
 use cutwater::geometry::TetMesh;
 use cutwater::reference::{diagnose_solid, larger};
 use cutwater::scene::{Scene, Solid, SolidMesh};
@@ -178,9 +177,7 @@ fn coarse(scene: &Scene, most: usize, folder: &Path) -> Scene {
 fn diagnosis(scene: &Scene, motion: &Motion) -> SolidDiagnosis {
     let (state, solids) = (motion.state(), &motion.solids);
     let u = &state.displacement;
-    let deformations: Vec<Deformation> =
-        (0..solids.elements.len()).map(|element| solids.deformation(element, u)).collect();
-    diagnose_solid(solids, &deformations, u, &state.node_velocity, scene.domain.gravity)
+    diagnose_solid(solids, &solids.deformations(u), u, &state.node_velocity, scene.domain.gravity)
 }
 
 fn endures(lane: Lane, most: usize, file: &Path, [young, density, step, damping]: [usize; 4], sheet: &mut Sheet) {

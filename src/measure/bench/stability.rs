@@ -272,9 +272,7 @@ pub fn lost(missing: &[f64]) -> f64 {
 /// Diagnosis of a state of the solids.
 pub fn solid_diagnosis(solids: &Solids, state: &State, gravity: DVec3) -> SolidDiagnosis {
     let (displacement, velocity) = (&state.displacement, &state.node_velocity);
-    let deformation = |element| solids.deformation(element, displacement);
-    let deformations: Vec<_> = (0..solids.elements.len()).map(deformation).collect();
-    diagnose_solid(solids, &deformations, displacement, velocity, gravity)
+    diagnose_solid(solids, &solids.deformations(displacement), displacement, velocity, gravity)
 }
 
 /// Number of values that are not finite.

@@ -410,8 +410,7 @@ impl<'a> SolidComparison<'a> {
     fn diagnose(&mut self, after: &SolidSnapshot) {
         let (solids, gpu, gravity) = (&self.solids, &after.report.diagnosis, self.gravity);
         let (displacement, velocity) = (&after.displacement, &after.velocity);
-        let deformations: Vec<Deformation> =
-            (0..solids.elements.len()).map(|element| solids.deformation(element, displacement)).collect();
+        let deformations = solids.deformations(displacement);
         let twin = reference::diagnose_solid(solids, &deformations, displacement, velocity, gravity);
         let size = magnitudes(solids, after, gravity);
         let n = (solids.rest.len() + solids.elements.len()) as f64;

@@ -7,7 +7,6 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
-use std::sync::Arc;
 use std::time::Instant;
 
 use super::{MOST_ITERATIONS, Options, TOLERANCE};
@@ -19,8 +18,7 @@ use crate::measure::bench::sub_step::{open_paths, stage_seconds, sub_step};
 use crate::measure::bench::table::{Row, Value, columns, row};
 use crate::measure::bench::{Case as BenchCase, Run, rounds};
 use crate::reference::{
-    BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem, StressVariables, conditions,
-    solid_matrices, solve_coupled,
+    CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem, StressVariables, conditions, solve_coupled,
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
 use crate::sim::{Backend, Simulation, reference_path};
@@ -214,10 +212,9 @@ impl<'a> Case<'a> {
             let problem = "the water does not touch the beam then on such a grid, and there is no system of both";
             Error::input(format!("--frames {}", state.frame), problem, "give later frames, such as 10,40,80")
         })?;
-        let deformed = solid_matrices(solids, &Arc::new(BlockPattern::new(solids)), &path.state().displacement);
-        let dt = time_step.dt;
+        let (deformations, dt) = (solids.deformations(&path.state().displacement), time_step.dt);
         Ok(Case {
-            stress: StressVariables::new(solids, &deformed.deformations, |body| body.zeta_stiffness(dt)),
+            stress: StressVariables::new(solids, &deformations, |body| body.zeta_stiffness(dt)),
             size,
             dam,
             state,
