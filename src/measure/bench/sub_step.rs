@@ -95,7 +95,7 @@ pub(super) fn sub_step(path: &mut GpuPath, state: &State) -> Result<Done, Error>
             path.gpu().wait("bench")?;
             seconds = clock.map_or(0.0, |clock: Instant| clock.elapsed().as_secs_f64());
             let Snapshot { liquid, solids, .. } = path.snapshot()?;
-            let pressure = |liquid| stored::pressure(path, &liquid, density(path.scene()), dt);
+            let pressure = |liquid| stored::pressure(path, &liquid, dt);
             solution = Some(Solution {
                 pressure: liquid.map_or(Vec::new(), pressure),
                 velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
@@ -157,9 +157,4 @@ pub(super) fn rest_errors(
     let faces = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
     let nodes = done.solution.velocity.as_flattened().iter();
     [off.fold(0.0, larger), nodes.map(|v| v.abs()).fold(0.0, larger), faces.fold(0.0, larger)]
-}
-
-/// Density of the liquid, kg/m^3; 0 without liquid.
-pub(super) fn density(scene: &Scene) -> f64 {
-    scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density)
 }

@@ -1,30 +1,23 @@
 //! The system of liquid and solids of a sub-step, in all formulations.
 
-use std::sync::Arc;
-
 use serde_json::json;
 
-use super::super::stored;
-use super::{Options, SubStep, System, no_system_of_both, on_cpu, on_gpu, pressure, solids, symmetric, vector};
+use super::{Options, SubStep, System, pressure, solids, symmetric, value_of, vector};
 use crate::Error;
 use crate::elastic::Solids;
-use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text};
-use crate::reference::{BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices};
+use crate::reference::{SIGMA, StepSystem, StressVariables};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
-
-/// Coupled system of a sub-step, pressures, Pa, and velocities, m/s, of its solution, and its stress variables.
-type Coupled = (CoupledSystem, Vec<f64>, Vec<[f64; 3]>, StressVariables);
 
 /// A \[p; P v\] = rhs of thesis (5.25), with the constraint projector P of walls and obstacles, and the same problem in its other forms.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     ensure_system(scene, options)?;
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
-    let ((system, mut x, velocity, variables), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => stored(scene, choice, options, density)?,
-        Backend::Cpu => assembled(scene, options, &all)?,
-    };
+    let ((system, mut x, velocity), sub_step) = value_of(scene, options, |system| match system {
+        StepSystem::Coupled(system, pressure, velocity) => Some((system.clone(), pressure.to_vec(), velocity.to_vec())),
+        _ => None,
+    })?;
     // Constrained components are on the right-hand side.
     x.extend(system.solid.free_part(&velocity));
     let blocks = system.blocks();
@@ -39,7 +32,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
     let e: Vec<f64> = blocks.cells.iter().map(|&cell| system.pressure.rhs[cell]).collect();
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
     let both = |v: &[f64]| e.iter().chain(v).copied().collect::<Vec<f64>>();
-    let (stress, matrix) = variables.system(&blocks)?;
+    let (stress, matrix) = stress_variables(scene, &all, &sub_step).system(&blocks)?;
     let j = "J P, m^2: rows as those of B, columns as the velocities of nodes.csv";
     let z1 = Csr::diagonal_of(&blocks.z1(SIGMA));
     let mut others = vec![
@@ -90,38 +83,20 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
     Err(Error::input(scene.file.display().to_string(), problem, cure))
 }
 
-/// The system of the f64 path.
-fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<(Coupled, SubStep), Error> {
-    let ((system, pressure, velocity), sub_step) = on_cpu(scene, options, |system| match system {
-        StepSystem::Coupled(system, pressure, velocity) => Some((system.clone(), pressure.to_vec(), velocity.to_vec())),
-        _ => None,
-    })?;
-    let pattern = Arc::new(BlockPattern::new(all));
-    let deformations = solid_matrices(all, &pattern, &sub_step.displacement).deformations;
-    let variables = StressVariables::new(all, &deformations, |body| match scene.solver.coupling {
-        CouplingScheme::DampingOnly => body.stiffness_damping,
-        CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(sub_step.dt),
-    });
-    Ok(((system, pressure, velocity, variables), sub_step))
-}
-
-/// The system stored on the device.
-fn stored(scene: &Scene, choice: &AdapterChoice, options: &Options, density: f64) -> Result<(Coupled, SubStep), Error> {
-    on_gpu(scene, choice, options, |path, snapshot, inflow, dt| {
-        let (Some(liquid), Some(solids)) = (&snapshot.liquid, &snapshot.solids) else {
-            unreachable!("the scene has liquid and solids");
-        };
-        let stored = stored::system_of_both(path, snapshot, inflow, density, dt);
-        let (system, all) = stored.ok_or_else(|| no_system_of_both(options.step))?;
-        let pressure = stored::pressure(path, liquid, density, dt);
-        // The device stores it in f32.
-        let dt = f64::from(dt as f32);
-        let pattern = Arc::new(BlockPattern::new(&all));
-        let mut deformations = solid_matrices(&all, &pattern, &solids.displacement).deformations;
-        for (element, deformation) in deformations.iter_mut().enumerate() {
-            *deformation = solids.turned(&all, element, deformation.gradient);
-        }
-        let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
-        Ok((system, pressure, solids.velocity.clone(), variables))
-    })
+/// Stress variables of the sub-step, on the GPU path with the rotations of the device.
+fn stress_variables(scene: &Scene, all: &Solids, sub_step: &SubStep) -> StressVariables {
+    let SubStep { dt, displacement, solids, .. } = sub_step;
+    let Some(stored) = solids else {
+        return StressVariables::new(all, &all.deformations(displacement), |body| match scene.solver.coupling {
+            CouplingScheme::DampingOnly => body.stiffness_damping,
+            CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(*dt),
+        });
+    };
+    let all = &stored.on_device(all);
+    let mut deformations = all.deformations(&stored.displacement);
+    for (element, deformation) in deformations.iter_mut().enumerate() {
+        *deformation = stored.turned(all, element, deformation.gradient);
+    }
+    // The device stores it in f32.
+    StressVariables::new(all, &deformations, |body| body.zeta_stiffness(f64::from(*dt as f32)))
 }

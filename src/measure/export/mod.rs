@@ -22,19 +22,18 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use super::remove;
+use super::{remove, stored};
 use crate::Error;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::{FolderLock, write_atomically};
 use crate::reference::StepSystem;
 use crate::scene::Scene;
-use crate::sim::{Backend, GpuPath, Snapshot, reference_path};
+use crate::sim::{Backend, GpuPath, SolidSnapshot, reference_path};
 use crate::state::{Carried, SolveStatus, State, StepReport};
-use crate::step::Stage;
 
 /// Files of all exports; the last one identifies an export.
-const FILES: [&str; 17] = [
+const FILES: [&str; 18] = [
     "spd.mtx",
     "spd_rhs.mtx",
     "solution.mtx",
@@ -50,6 +49,7 @@ const FILES: [&str; 17] = [
     "Z1.mtx",
     "Z2.mtx",
     "cells.csv",
+    "separated.csv",
     "nodes.csv",
     "meta.json",
 ];
@@ -136,6 +136,8 @@ struct SubStep {
     adapter: Option<String>,
     /// Displacements of the nodes after it, m; of the f64 path only.
     displacement: Vec<[f64; 3]>,
+    /// The solids after the solve; of the GPU path only.
+    solids: Option<SolidSnapshot>,
 }
 
 /// Runs a scene to a sub-step and writes the system of that sub-step. An earlier export is replaced, but only if there is a system to write.
@@ -220,69 +222,66 @@ fn is_meta(path: &Path) -> bool {
     ["cutwater", "step", "unknowns", "residual"].iter().all(|key| meta.get(key).is_some())
 }
 
-/// Runs the GPU path to a sub-step and reads a value back after its solve. `read`: called with the fields after the solve, E u* / dx^2 before it (m/s),
-/// and the length of the sub-step, s. The solve subtracts the flux of the solids from E u*.
-fn on_gpu<T>(
+/// Runs to a sub-step and returns what `read` returns of its systems.
+fn value_of<T>(
+    scene: &Scene,
+    options: &Options,
+    mut read: impl FnMut(StepSystem) -> Option<T>,
+) -> Result<(T, SubStep), Error> {
+    let mut value = None;
+    let mut read = |system: StepSystem| value = value.take().or_else(|| read(system));
+    let sub_step = match &options.backend {
+        Backend::Gpu(choice) => on_gpu(scene, choice, options, &mut read)?,
+        Backend::Cpu => on_cpu(scene, options, &mut read)?,
+    };
+    Ok((value.ok_or_else(|| no_system_of_both(options.step))?, sub_step))
+}
+
+/// Runs the GPU path to a sub-step.
+fn on_gpu(
     scene: &Scene,
     choice: &AdapterChoice,
     options: &Options,
-    read: impl Fn(&GpuPath, &Snapshot, &[f64], f64) -> Result<T, Error>,
-) -> Result<(T, SubStep), Error> {
-    let step = options.step;
+    read: &mut dyn FnMut(StepSystem),
+) -> Result<SubStep, Error> {
     let mut path = GpuPath::open(scene, choice)?;
     if let Some((state, carried)) = &options.start {
         path.resume(state, carried)?;
     }
     loop {
         let clock = path.clock();
-        ensure_within(scene, step, (clock.step, clock.frame))?;
-        let dt = path.next_time_step().dt;
-        let (mut inflow, mut value) = (Vec::new(), None);
-        let report = path.step_observed(&mut |stage, path| {
-            match stage {
-                Stage::RightHandSide if clock.step == step => {
-                    inflow = path.snapshot()?.liquid.map_or_else(Vec::new, |liquid| liquid.rhs);
-                }
-                Stage::Solve if clock.step == step => value = Some(read(path, &path.snapshot()?, &inflow, dt)?),
-                _ => {}
-            }
+        ensure_within(scene, options.step, (clock.step, clock.frame))?;
+        if clock.step != options.step {
+            path.step_observed(&mut |_, _| Ok(()))?;
+            continue;
+        }
+        let (dt, mut solids) = (path.next_time_step().dt, None);
+        let report = stored::step_observed(&mut path, &mut |_, snapshot, system| {
+            solids.clone_from(&snapshot.solids);
+            read(system);
             Ok(())
         })?;
-        if let Some(value) = value {
-            let adapter = Some(path.gpu().report().name.clone());
-            return Ok((value, SubStep { dt, report, adapter, displacement: Vec::new() }));
-        }
+        let adapter = Some(path.gpu().report().name.clone());
+        return Ok(SubStep { dt, report, adapter, displacement: Vec::new(), solids });
     }
 }
 
-/// Runs the f64 path to a sub-step and returns a value of its system.
-fn on_cpu<T>(
-    scene: &Scene,
-    options: &Options,
-    mut read: impl FnMut(StepSystem) -> Option<T>,
-) -> Result<(T, SubStep), Error> {
-    let step = options.step;
+/// Runs the f64 path to a sub-step.
+fn on_cpu(scene: &Scene, options: &Options, read: &mut dyn FnMut(StepSystem)) -> Result<SubStep, Error> {
     let mut path = reference_path(scene)?;
     if let Some((state, _)) = &options.start {
         path.reset(state.clone())?;
     }
     loop {
-        ensure_within(scene, step, (path.state().step, path.state().frame))?;
+        ensure_within(scene, options.step, (path.state().step, path.state().frame))?;
         let time_step = path.next_time_step();
-        let reached = path.state().step == step;
-        let mut value = None;
-        let report = path.step_observed(time_step, &mut |system| {
-            if reached && value.is_none() {
-                value = read(system);
-            }
-        })?;
-        if let Some(value) = value {
-            let displacement = path.state().displacement.clone();
-            return Ok((value, SubStep { dt: time_step.dt, report, adapter: None, displacement }));
+        if path.state().step != options.step {
+            path.step(time_step)?;
+            continue;
         }
-        if reached {
-            return Err(no_system_of_both(step));
-        }
+        let report = path.step_observed(time_step, read)?;
+        let displacement = path.state().displacement.clone();
+        return Ok(SubStep { dt: time_step.dt, report, adapter: None, displacement, solids: None });
     }
 }
 

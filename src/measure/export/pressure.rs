@@ -2,28 +2,19 @@
 
 use serde_json::json;
 
-use super::super::stored;
-use super::{File, Options, SubStep, System, on_cpu, on_gpu};
+use super::{File, Options, SubStep, System, value_of};
 use crate::Error;
 use crate::grid::Grid;
 use crate::reference::StepSystem;
 use crate::scene::Scene;
-use crate::sim::Backend;
 
 /// B p = E u*.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let density = density(scene)?;
-    let ((system, pressure), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options, |path, snapshot, _, dt| {
-            let liquid = snapshot.liquid.as_ref().expect("the scene has liquid");
-            let system = stored::pressure_system(path, liquid, density, dt).masked(&liquid.separated);
-            Ok((system, stored::pressure(path, liquid, density, dt)))
-        })?,
-        Backend::Cpu => on_cpu(scene, options, |system| match system {
-            StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
-            _ => None,
-        })?,
-    };
+    let ((system, pressure), sub_step) = value_of(scene, options, |system| match system {
+        StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
+        _ => None,
+    })?;
     let cells = system.stencil.active_cells();
     let active = |field: &[f64]| cells.iter().map(|&cell| field[cell]).collect::<Vec<f64>>();
     let written = System {

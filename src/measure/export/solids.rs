@@ -2,27 +2,20 @@
 
 use serde_json::{Value, json};
 
-use super::super::stored;
-use super::{Options, SubStep, System, on_cpu, on_gpu, symmetric};
+use super::{Options, SubStep, System, symmetric, value_of};
 use crate::Error;
 use crate::elastic::{Body, Solids};
 use crate::reference::StepSystem;
 use crate::scene::Scene;
-use crate::sim::{Backend, solids_of};
+use crate::sim::solids_of;
 
 /// P S P v = P rhs on the components that are not prescribed, with the constraint projector P of walls and obstacles; M, K and S on all components.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let solids = solids_of(scene)?;
-    let ((system, velocity), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options, |path, snapshot, _, dt| {
-            let solids = snapshot.solids.as_ref().expect("the scene has solids");
-            Ok((stored::solid_system(path, solids, dt).0, solids.velocity.clone()))
-        })?,
-        Backend::Cpu => on_cpu(scene, options, |system| match system {
-            StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
-            _ => None,
-        })?,
-    };
+    let ((system, velocity), sub_step) = value_of(scene, options, |system| match system {
+        StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
+        _ => None,
+    })?;
     let components = system.components();
     let free = |values: &[f64]| components.iter().map(|&at| values[at]).collect::<Vec<f64>>();
     let others = vec![

@@ -4,15 +4,14 @@ use super::{Options, ensure_truth};
 use crate::Error;
 use crate::effects::Effects;
 use crate::measure::bench::statistics::Spread;
-use crate::measure::bench::sub_step::{Done, Mask, Solution, density, reference_step, solve_columns, sub_step};
+use crate::measure::bench::sub_step::{Done, Mask, Solution, reference_step, solve_columns, sub_step};
 use crate::measure::bench::table::{Row, row};
 use crate::measure::bench::{Rows, Run, rounds};
 use crate::measure::stored;
-use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_coupled};
+use crate::reference::{Formulation as Form, SolidSolver, StepSystem, larger, solve, solve_coupled};
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::sim::{Backend, GpuPath, Simulation, Snapshot, reference_path};
 use crate::state::{SolveReport, State};
-use crate::step::Stage;
 
 /// A sub-step from a state.
 struct Case<'a> {
@@ -149,55 +148,41 @@ impl Variant {
         let mut path = GpuPath::open(&scene, &options.adapter)?;
         // Compiles, and stores the system.
         path.write_state(case.state)?;
-        let (dt, density) = (path.next_time_step().dt, density(case.scene));
-        let (mut inflow, mut truth) = (Vec::new(), None);
-        path.step_observed(&mut |stage, path| {
-            if stage == Stage::RightHandSide {
-                let liquid = path.snapshot()?.liquid;
-                inflow = liquid.map_or(Vec::new(), |liquid| liquid.rhs);
-            } else if stage == Stage::Solve {
-                let (exact, solves) = solution(path, &path.snapshot()?, &inflow, density, dt)?;
-                let residual = solves.iter().map(|solve| solve.residual).fold(0.0, larger);
-                ensure_truth(
-                    &format!("{}, stored in {}", case.what, solver.precision.name()),
-                    case.state.step,
-                    solves,
-                )?;
-                truth = Some((exact, residual));
-            }
-            Ok(())
+        let mut truth = (Solution { pressure: Vec::new(), velocity: Vec::new() }, 0.0);
+        stored::step_observed(&mut path, &mut |path, snapshot, system| {
+            let solves = solve_exactly(path, snapshot, system, &mut truth.0)?;
+            truth.1 = solves.iter().map(|solve| solve.residual).fold(truth.1, larger);
+            ensure_truth(&format!("{}, stored in {}", case.what, solver.precision.name()), case.state.step, solves)
         })?;
-        let truth = truth.expect("every sub-step has a solve");
         Ok(Variant { solver, path, truth })
     }
 }
 
-/// Exact solution of the stored system, and the reports of its solves.
-fn solution(
+/// Solves a stored system exactly; returns the reports.
+fn solve_exactly(
     path: &GpuPath,
     snapshot: &Snapshot,
-    inflow: &[f64],
-    density: f64,
-    dt: f64,
-) -> Result<(Solution, Vec<SolveReport>), Error> {
+    system: StepSystem,
+    exact: &mut Solution,
+) -> Result<Vec<SolveReport>, Error> {
     let settings = super::exact(Solver::default());
-    if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
-        let found = solve_coupled(&system, Form::of(&system), &SolidSolver::new(&all), &all, &settings)?;
-        let exact = Solution { pressure: found.pressure, velocity: found.velocity };
-        return Ok((exact, found.reports.into()));
-    }
-    let (mut exact, mut solves) = (Solution { pressure: Vec::new(), velocity: Vec::new() }, Vec::new());
-    if let Some(liquid) = &snapshot.liquid {
-        let system = stored::pressure_system(path, liquid, density, dt);
-        let (pressure, report) = solve(&system, &settings)?;
-        exact.pressure = pressure;
-        solves.push(report);
-    }
-    if let Some(solids) = &snapshot.solids {
-        let (system, all) = stored::solid_system(path, solids, dt);
-        let (velocity, report) = SolidSolver::new(&all).solve_direct(&system, &settings)?;
-        exact.velocity = velocity;
-        solves.push(report);
-    }
-    Ok((exact, solves))
+    let all = || stored::on_device(path, snapshot.solids.as_ref().expect("the system has solids"));
+    Ok(match system {
+        StepSystem::Pressure(system, _) => {
+            let (pressure, report) = solve(system, &settings)?;
+            exact.pressure = pressure;
+            vec![report]
+        }
+        StepSystem::Solid(system, _) => {
+            let (velocity, report) = SolidSolver::new(&all()).solve_direct(system, &settings)?;
+            exact.velocity = velocity;
+            vec![report]
+        }
+        StepSystem::Coupled(system, ..) => {
+            let all = all();
+            let found = solve_coupled(system, Form::of(system), &SolidSolver::new(&all), &all, &settings)?;
+            (exact.pressure, exact.velocity) = (found.pressure, found.velocity);
+            found.reports.into()
+        }
+    })
 }
