@@ -25,8 +25,10 @@ use crate::geometry::TetMesh;
 use crate::scene::{Load, LoadKind, Scene, Shape, Solver};
 use crate::state::State;
 
-/// Width and height of the tank, m.
-const TANK: [f64; 2] = [0.8, 1.0];
+/// The scene but for what depends on the block and the grid.
+const SCENE: &str = include_str!("plane_strain.toml");
+/// Width of the tank, m; its height is 1 m.
+const TANK: f64 = 0.8;
 /// Cells and bricks across the slab.
 const LAYERS: usize = 2;
 /// a, m.
@@ -39,8 +41,6 @@ const REST: f64 = 0.2;
 const DENSITY: f64 = 1.0;
 /// g along y, m/s^2.
 const GRAVITY: f64 = -1.0;
-/// s
-const DT: f64 = 0.01;
 
 /// Points and weights of Gauss's rule on \[0, 1\] that is exact to degree 5.
 const GAUSS: [[f64; 2]; 3] =
@@ -134,46 +134,28 @@ impl PlaneStrain {
     /// # Errors
     /// [`Error::Input`] when it has too many nodes.
     pub fn scene(&self, cells: usize, solver: Solver) -> Result<Scene, Error> {
-        let dx = TANK[1] / cells as f64;
-        let [width, bricks] = [TANK[0] / dx, 2.0 * EDGE / dx].map(|n| n.round() as usize);
+        let dx = 1.0 / cells as f64;
+        let [width, bricks] = [TANK / dx, 2.0 * EDGE / dx].map(|n| n.round() as usize);
         let thickness = LAYERS as f64 * dx;
-        let low = DVec3::new(0.5 * (TANK[0] - EDGE), REST, 0.0);
-        let high = low + DVec3::new(EDGE, EDGE, thickness);
-        let vector = |v: DVec3| format!("{:?}", v.to_array());
         // The walls along z: the faces of the slab do not move across.
-        let wall = |z: f64| {
-            let [min, max] = [low.with_z(z - 0.1 * dx), high.with_z(z + 0.1 * dx)].map(vector);
-            format!("[[solid.pin]]\nregion = {{ box = {{ min = {min}, max = {max} }} }}\ncomponents = \"z\"\n")
-        };
-        let ([size, centre], pins) =
-            ([high - low, 0.5 * (low + high)].map(vector), [0.0, thickness].map(wall).concat());
-        let ([length, height], rate, density) = (TANK, 1.0 / DT, self.density());
-        let young = self.mu * (3.0 * self.lambda + 2.0 * self.mu) / (self.lambda + self.mu);
-        let poisson = 0.5 * self.lambda / (self.lambda + self.mu);
-        let text = format!(
-            "[domain]
-size = [{length:?}, {height:?}, {thickness:?}]
-cells = [{width}, {cells}, {LAYERS}]
-gravity = [0, {GRAVITY:?}, 0]
-[time]
-duration = {DT:?}
-frames_per_second = {rate:?}
-fixed_step = {DT:?}
-[liquid]
-density = {DENSITY:?}
-surface = \"fixed\"
-[[liquid.region]]
-half_space = {{ point = [0, {LEVEL:?}, 0], normal = [0, 1, 0] }}
-[[solid]]
-name = \"block\"
-mesh = {{ box = {{ size = {size}, cells = [{bricks}, {bricks}, {LAYERS}] }} }}
-placement = {{ translate = {centre} }}
-density = {density:?}
-young = {young:?}
-poisson = {poisson:?}
-{pins}"
-        );
-        let mut scene = Scene::parse(format!("section_6_4_{cells}.toml").as_ref(), &text, &[], 1.0)?;
+        let pins = [0.0, thickness].map(|z| {
+            let [low, high] = [z - 0.1 * dx, z + 0.1 * dx];
+            format!(
+                "{{ region = {{ box = {{ min = [0, 0, {low:?}], max = [1, 1, {high:?}] }} }}, components = \"z\" }}"
+            )
+        });
+        let overrides = [
+            format!("domain.size[2]={thickness:?}"),
+            format!("domain.cells=[{width}, {cells}, {LAYERS}]"),
+            format!("solid[0].mesh.box.size[2]={thickness:?}"),
+            format!("solid[0].mesh.box.cells=[{bricks}, {bricks}, {LAYERS}]"),
+            format!("solid[0].placement.translate[2]={:?}", 0.5 * thickness),
+            format!("solid[0].density={:?}", self.density()),
+            format!("solid[0].young={:?}", self.mu * (3.0 * self.lambda + 2.0 * self.mu) / (self.lambda + self.mu)),
+            format!("solid[0].poisson={:?}", 0.5 * self.lambda / (self.lambda + self.mu)),
+            format!("solid[0].pin=[{}]", pins.join(", ")),
+        ];
+        let mut scene = Scene::parse(format!("section_6_4_{cells}.toml").as_ref(), SCENE, &overrides, 1.0)?;
         let mesh = TetMesh::new(&scene.solids[0], "section 6.4")?;
         scene.solids[0].loads = self.loads(&mesh, dx);
         scene.solver = solver;
@@ -182,7 +164,7 @@ poisson = {poisson:?}
 
     /// Deforms the block of a scene at its start.
     pub fn deform(&self, solids: &Solids, state: &mut State) {
-        let middle = 0.5 * TANK[0];
+        let middle = 0.5 * TANK;
         let moved = solids.rest.iter().map(|rest| {
             let y = rest.y - REST;
             [(self.alpha - 1.0) * (rest.x - middle), self.height(y) - rest.y, 0.0]

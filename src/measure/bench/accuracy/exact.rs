@@ -39,23 +39,10 @@ impl Exact {
     fn scene(self, cells: usize, solver: Solver) -> Result<Scene, Error> {
         let text = match self {
             Exact::Block => return TABLE_6_5.scene(cells, solver),
-            Exact::Rest => format!(
-                "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [{cells}, {cells}, {cells}]\n\
-                 [time]\nduration = 0.05\nframes_per_second = 20\nfixed_step = 0.05\n\
-                 [liquid]\ndensity = 1000.0\nsurface = \"fixed\"\n\
-                 [[liquid.region]]\nhalf_space = {{ point = [0.0, {DEPTH}, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
-                 [[obstacle]]\nbox = {{ min = [0.3, 0.15, 0.35], max = [0.7, 0.45, 0.65] }}\n\
-                 placement = {{ rotate = {{ axis = [1.0, 2.0, 3.0], degrees = 35.0 }} }}\n"
-            ),
-            Exact::Dam => format!(
-                "[domain]\nsize = [1.0, 1.0, {width}]\ncells = [{cells}, {cells}, 2]\n\
-                 [time]\nduration = 0.01\nframes_per_second = 100\nfixed_step = 0.01\n\
-                 [liquid]\ndensity = 1000.0\nsurface = \"fixed\"\n\
-                 [[liquid.region]]\nbox = {{ min = [0.0, 0.0, 0.0], max = [{DAM}, {DAM}, {width}] }}\n",
-                width = 2.0 / cells as f64
-            ),
+            Exact::Rest => include_str!("pool_at_rest.toml"),
+            Exact::Dam => include_str!("dam_release.toml"),
         };
-        let mut scene = Scene::parse(self.name().as_ref(), &text, &[], 1.0)?;
+        let mut scene = Scene::parse(self.name().as_ref(), text, &[], cells as f64 / 10.0)?;
         scene.solver = solver;
         Ok(scene)
     }
