@@ -276,15 +276,23 @@ pub fn derive(tables: &mut [Table]) {
     replace(tables, "accuracy_grids_enough", enough.collect());
 }
 
-/// Charts of errors against seconds, one per error column and its axis.
-fn charts(rows: &[&Row], title: &str, errors: &[(&str, &'static str)], name: impl Fn(&Row) -> String) -> Vec<Chart> {
-    let chart = |&(column, axis): &(&str, &'static str)| Chart {
-        title: title.to_owned(),
-        axes: ["seconds of the solve", axis],
-        lines: lines(rows.iter().copied(), &name, ["seconds", column]),
-        falling: true,
-    };
-    errors.iter().map(chart).collect()
+/// A chart of each error column of each group of rows, against seconds. `errors`: columns and their axes.
+fn draw(
+    rows: &[Row],
+    group: impl Fn(&Row) -> String,
+    name: impl Fn(&Row) -> String,
+    errors: &[(&str, &'static str)],
+) -> Page {
+    let mut charts = Vec::new();
+    for (title, rows) in grouped(rows, |row| Some(group(row))) {
+        charts.extend(errors.iter().map(|&(column, axis)| Chart {
+            title: title.clone(),
+            axes: ["seconds of the solve", axis],
+            lines: lines(rows.iter().copied(), &name, ["seconds", column]),
+            falling: true,
+        }));
+    }
+    Page::Charts(2, charts)
 }
 
 fn draw_states(results: &Results) -> Page {
@@ -294,15 +302,13 @@ fn draw_states(results: &Results) -> Page {
         ("step_error_u", "error of u, against the f64 path"),
         ("divergence", "divergence, 1/s"),
     ];
-    let name = |row: &Row| row.join(&["precision", "preconditioner", "formulation"]);
     let state = |row: &Row| format!("{}, frame {}", row.text("scene"), row.count("frame"));
-    let groups = grouped(results.rows("accuracy"), |row| Some(state(row)));
-    Page::Charts(2, groups.iter().flat_map(|(state, rows)| charts(rows, state, &errors, name)).collect())
+    let name = |row: &Row| row.join(&["precision", "preconditioner", "formulation"]);
+    draw(results.rows("accuracy"), state, name, &errors)
 }
 
 fn draw_grids(results: &Results) -> Page {
     let errors = [("error_p", "error of p over the largest p"), ("error_u", "speed over g dt")];
     let name = |row: &Row| format!("{} cells/m, {}", row.count("grid"), row.text("precision"));
-    let problems = grouped(results.rows("accuracy_grids"), |row| Some(row.text("problem")));
-    Page::Charts(2, problems.iter().flat_map(|(problem, rows)| charts(rows, problem, &errors, name)).collect())
+    draw(results.rows("accuracy_grids"), |row| row.text("problem").to_owned(), name, &errors)
 }

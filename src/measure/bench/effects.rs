@@ -222,7 +222,9 @@ fn scene_rows(scene: &Scene, options: &Options, frames: &Path) -> Result<Rows, E
 /// The scene without each of its effects, the control, and the scene itself.
 fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
     let (mut scenes, mut control) = (Vec::new(), scene.clone());
-    for effect in EFFECTS.iter().chain(PROBES) {
+    // Without its only kind of probes a scene has none: `probes` is the same part.
+    let kinds = if PROBES.iter().filter(|kind| (kind.present)(scene)).count() > 1 { PROBES } else { &[] };
+    for effect in EFFECTS.iter().chain(kinds) {
         if !(effect.present)(scene) {
             (effect.without)(&mut control);
             continue;
@@ -256,7 +258,8 @@ fn rows(scene: &Scene, whole: &Part, parts: &[Part]) -> Vec<Row> {
             let pairs: Vec<Pair> = both.map(|(a, b)| pairs::against_both(*a, *b)).collect();
             return compared(&pairs, &[liquid, solids]);
         }
-        match part(effect) {
+        let only_kind = || part("probes").filter(|_| PROBES.iter().any(|kind| kind.name == effect));
+        match part(effect).or_else(only_kind) {
             Some(part) => compared(&part.pairs, &[part]),
             // No scene is left without it.
             None => row.with(row! { seconds_with: pairs::median(&control.pairs, 0), pairs: 0_usize }),
