@@ -33,13 +33,18 @@ const EXTENSION_PASSES: usize = 3;
 /// phi per cell (m) from markers (m) with spheres of `radius` (m), extended into the obstacles.
 pub fn liquid_distance(grid: &Grid, cut: &CutCells, markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let mut phi = union_of_spheres(grid, &cut.solid_distance, markers, radius);
-    let rule = Extension { flat_pairs: 1.0, overshoot: 0.0, through_closed: false, air: grid.dx };
-    extend(grid, cut, rule, &mut phi);
+    extend_spheres(grid, cut, |_| true, &mut phi);
     phi
 }
 
-/// phi per cell before the extension.
-fn union_of_spheres(grid: &Grid, solid_distance: &[f64], markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
+/// Extends the distance (m) of spheres into obstacles, among the cells that take part.
+pub fn extend_spheres(grid: &Grid, cut: &CutCells, takes_part: impl Fn(usize) -> bool + Sync, phi: &mut [f64]) {
+    let rule = Extension { flat_pairs: 1.0, overshoot: 0.0, through_closed: false, air: grid.dx };
+    extend(grid, cut, rule, takes_part, phi);
+}
+
+/// phi per cell (m) before the extension.
+pub fn union_of_spheres(grid: &Grid, solid_distance: &[f64], markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let bins = Bins::new(grid, markers);
     let full =
         |ijk: IVec3| inside(grid, ijk).is_none_or(|cell| !bins.markers(cell).is_empty() || solid_distance[cell] < 0.0);
@@ -76,18 +81,19 @@ struct Extension {
 /// Extends a level (cells) into obstacles, with its slope: it has no bumps.
 pub fn extend_level(grid: &Grid, cut: &CutCells, level: &mut [f64]) {
     let rule = Extension { flat_pairs: 0.0, overshoot: 1.0, through_closed: true, air: 1.0 };
-    extend(grid, cut, rule, level);
+    extend(grid, cut, rule, |_| true, level);
 }
 
 /// Recomputes phi in cells with their centre in an obstacle; air if no pass reaches them.
-fn extend(grid: &Grid, cut: &CutCells, rule: Extension, phi: &mut [f64]) {
-    let outside = |distance: &f64| *distance >= 0.0;
-    let mut known: Vec<bool> = cut.solid_distance.iter().map(outside).collect();
-    let mut unknown: Vec<usize> = (0..phi.len()).filter(|&cell| !known[cell]).collect();
+fn extend(grid: &Grid, cut: &CutCells, rule: Extension, takes_part: impl Fn(usize) -> bool + Sync, phi: &mut [f64]) {
+    let outside = |cell: usize| cut.solid_distance[cell] >= 0.0;
+    let mut known: Vec<bool> = (0..phi.len()).map(|cell| outside(cell) && takes_part(cell)).collect();
+    let mut unknown: Vec<usize> = (0..phi.len()).filter(|&cell| !outside(cell)).collect();
     for _ in 0..EXTENSION_PASSES {
         let value = |&cell: &usize| {
             let through = |closed: bool| from_neighbours(grid, cut, rule, phi, &known, cell, closed);
-            through(false).or_else(|| rule.through_closed.then(|| through(true)).flatten())
+            let value = || through(false).or_else(|| rule.through_closed.then(|| through(true)).flatten());
+            takes_part(cell).then(value).flatten()
         };
         let values: Vec<_> = unknown.par_iter().map(value).collect();
         for (&cell, value) in unknown.iter().zip(&values) {

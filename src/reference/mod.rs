@@ -92,7 +92,7 @@ pub use liquid_components::{
     Before, Components, LARGEST_TARGET, balance, cap_targets, component_origins, label_at, liquid_components,
     shared_volumes,
 };
-pub use liquid_distance::{extend_level, liquid_distance};
+pub use liquid_distance::{extend_level, extend_spheres, liquid_distance, union_of_spheres};
 pub use marker_band::{Levels, Markers, cell_of, first_markers, marker_band};
 pub use move_solid::move_solid;
 pub use multigrid::Multigrid;

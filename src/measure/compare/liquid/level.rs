@@ -273,15 +273,19 @@ impl LiquidComparison<'_> {
         self.band_cells(["phi", "cells"], after, &now.level, &twins, PASS * EPS * REACH);
     }
 
-    /// Each pass adds the roundings of a root of sums of squares.
+    /// Each pass adds the roundings of a root of sums of squares. The distance is the least of all paths, so a tie with its limits takes a
+    /// level that moves as one.
     pub(super) fn redistance(&mut self, Change { after, before, now }: Change) {
         let level = self.with_air(after, &before.level);
         let bound = PASSES * PASS * EPS * REACH;
-        let twins = self.twins(&level, bound, |level| {
+        let redistanced = |level: &[f64]| {
             let mut level = level.to_vec();
             reference::extend_level(&self.grid, &self.cut, &mut level);
             reference::redistance(self.level_cells(), &before.separation_bounds, &level)
-        });
+        };
+        let mut twins = self.twins(&level, bound, redistanced);
+        let away = |by: f64| level.iter().map(|phi| phi + by * phi.signum()).collect::<Vec<_>>();
+        twins.extend([bound, -bound].map(|by| redistanced(&away(by))));
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
 

@@ -382,21 +382,26 @@ impl<'a> LiquidComparison<'a> {
         let bounds: Vec<f64> = centres.map(|&distance| if distance < 0.0 { in_solid } else { outside }).collect();
         let radius = f64::from(self.step.marker_radius) * dx;
         let markers: Vec<[f64; 3]> = after.markers.iter().copied().flatten().collect();
-        let mut twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
-        reference::empty_sinks(&self.taps, dx, &mut twin);
+        // Outside the band the device stores air without a distance, which extends into no body.
+        let distance = |phi: f64, cell: usize| if after.band[cell] || phi < 0.0 { phi } else { dx };
+        let twin_of = |markers: &[[f64; 3]]| {
+            let mut phi = reference::union_of_spheres(&grid, &self.cut.solid_distance, markers, radius);
+            reference::extend_spheres(&grid, &self.cut, |cell| after.band[cell], &mut phi);
+            reference::empty_sinks(&self.taps, dx, &mut phi);
+            phi
+        };
+        let twin = twin_of(&markers);
         let gpu = &after.liquid_distance;
         let differs = |cell: usize| after.band[cell] && (gpu[cell] - twin[cell]).abs() > bounds[cell];
         // Markers within a rounding of a border, moved to the next cell.
         let other = (0..grid.n_cells()).any(differs).then(|| {
             let moved: Vec<[f64; 3]> = markers.iter().map(|x| across_borders(&grid, *x)).collect();
-            reference::liquid_distance(&grid, &self.cut, &moved, radius)
+            twin_of(&moved)
         });
         let agrees = |cell: usize, other: &[f64]| (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
-        // Outside the band the device stores air without a distance.
-        let distance = |of: &[f64], cell: usize| if after.band[cell] || of[cell] < 0.0 { of[cell] } else { dx };
         self.table.cells(["phi", "m"], |cell| {
             let excused = differs(cell) && other.as_ref().is_some_and(|other| agrees(cell, other));
-            Some((!excused).then(|| (distance(gpu, cell), distance(&twin, cell), bounds[cell])))
+            Some((!excused).then(|| (distance(gpu[cell], cell), distance(twin[cell], cell), bounds[cell])))
         });
         self.volume_rate(after);
         self.twin.liquid_distance = twin;
