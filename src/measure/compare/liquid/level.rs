@@ -6,7 +6,7 @@
 
 use glam::DVec3;
 
-use super::{LiquidComparison, Numbers, Pair, Place, Quantity, across_borders, components, flag, largest};
+use super::{LiquidComparison, Numbers, Pair, Place, Quantity, across_borders, components, corners, flag, largest};
 use crate::grid::Axis;
 use crate::measure::bounds::{EPS, level_error, maccormack_error, marker_error};
 use crate::reference::{self, LevelCells, Levels, Markers, REACH, UNKNOWN};
@@ -36,9 +36,9 @@ fn moved(values: &[f64], by: f64, pattern: u32) -> Vec<f64> {
     values.iter().enumerate().map(signed).collect()
 }
 
-/// Face velocities moved by an amount (m/s), up or down.
-fn moved_faces(velocity: &[Vec<f64>; 3], by: f64, pattern: u32) -> [Vec<f64>; 3] {
-    velocity.each_ref().map(|values| moved(values, by, pattern))
+/// Face velocities moved by amounts (m/s) along the axes, all up and all down: departure points move to every side.
+fn moved_along(velocity: &[Vec<f64>; 3], by: f64) -> impl Iterator<Item = [Vec<f64>; 3]> {
+    corners().map(move |corner| [0, 1, 2].map(|a| velocity[a].iter().map(|v| v + by * corner[a]).collect()))
 }
 
 /// A number on both paths and its bound; `None` above the bound but within twice the spread of other twins.
@@ -113,7 +113,7 @@ impl LiquidComparison<'_> {
         twins.extend(self.near_ballistic().map(|other| advected(velocity, &other, &level)));
         // A departure point on a plane of cell centres may have the taps of either side.
         let by = 16.0 * EPS * reference::max_speed(velocity);
-        twins.extend((0..PATTERNS).map(|pattern| advected(&moved_faces(velocity, by, pattern), &ballistic, &level)));
+        twins.extend(moved_along(velocity, by).map(|velocity| advected(&velocity, &ballistic, &level)));
         self.exchange_level(after, &level, (&mut twins, bound));
         let band = self.settled(after);
         let settled = LiquidSnapshot { band, ..after.clone() };
@@ -136,7 +136,7 @@ impl LiquidComparison<'_> {
         };
         let mut twins = self.twins(level, EPS * REACH, |level| separated(velocity, level));
         let by = 16.0 * EPS * reference::max_speed(velocity);
-        twins.extend((0..PATTERNS).map(|pattern| separated(&moved_faces(velocity, by, pattern), level)));
+        twins.extend(moved_along(velocity, by).map(|velocity| separated(&velocity, level)));
         self.band_cells(["bound", "cells"], after, &finite(&now.separation_bounds), &twins, bound);
     }
 
@@ -187,8 +187,8 @@ impl LiquidComparison<'_> {
         let times = [dt, self.courant];
         let advect = |velocity: &_, near: &_| reference::advect_velocity_maccormack(&grid, open, velocity, near, times);
         let twin = advect(velocity, &ballistic);
-        let mut others: Vec<[Vec<f64>; 3]> =
-            (0..PATTERNS).map(|pattern| advect(&moved_faces(velocity, bound, pattern), &ballistic)).collect();
+        let moved = |pattern| velocity.each_ref().map(|values| moved(values, bound, pattern));
+        let mut others: Vec<[Vec<f64>; 3]> = (0..PATTERNS).map(|pattern| advect(&moved(pattern), &ballistic)).collect();
         others.extend(self.near_ballistic().map(|near| advect(velocity, &near)));
         let settled = self.settled(after);
         self.table.faces(["u*", "m/s"], |a, face| {
