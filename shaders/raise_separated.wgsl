@@ -1,4 +1,4 @@
-// bound_level, with separation, last: the level is at least the bound of cells where liquid leaves a wall. One thread per quad of the band.
+// bound_level, with separation, last: the level is at least its bound at walls and bodies. One thread per quad of the band.
 // band_args, band_list: the band. separation_bounds: cells. new_level: cells, in place.
 #import dispatch
 

@@ -26,7 +26,7 @@
 const NEAR = 2.5;
 // Step of the relaxation, cells.
 const STEP = 0.4;
-// Gradients of interface cells that stay.
+// Gradients of interface cells that stay; at kinks only the upper limit holds.
 const LEAST_GRADIENT = 0.7;
 const LARGEST_GRADIENT = 1.4;
 // Slope below which the interface is hidden behind a body.

@@ -26,8 +26,6 @@
 // The constants of reference/separated_level.rs.
 // Distance from a body up to which cells belong to its surface, cells.
 const BODY_REACH = 1.25;
-// Distance from a body up to which paths back enter it, cells.
-const PATH_REACH = 3.0;
 // Distance of a centre from a wall of the domain, cells.
 const AT_WALL = 0.5;
 // Gap over the way of the liquid up to which it moves along the wall.
@@ -72,35 +70,13 @@ fn from_wall(at: vec3<i32>, phi: f32, motion: vec3<f32>, n: vec3<f32>, s: f32) -
     return select(NO_BOUND, opened - s, opened > ALONG_WALL * length(motion));
 }
 
-// Distance of a position from the bodies, cells.
-fn sample_body(at: vec3<f32>) -> f32 {
-    let corner = centres_around(at);
-    let points = corner_points(corner);
-    let near = points[0];
-    let far = points[1];
-    return mix_points(
-        vec4<f32>(body_distance(near.x), body_distance(near.y), body_distance(near.z), body_distance(near.w)),
-        vec4<f32>(body_distance(far.x), body_distance(far.y), body_distance(far.z), body_distance(far.w)),
-        corner.f,
-    );
-}
-
-// The bound at a cell of air at a distance (cells) in front of a body that its path back enters.
-fn air_at_body(cell: u32, at: vec3<i32>, distance: f32) -> f32 {
-    let x = vec3<f32>(at) + 0.5;
-    let way = traced(x, velocity_in(cell), -step.dt * step.inv_dx) - x;
-    let beneath = sample_body(x + way);
-    if beneath >= 0.0 {
-        return NO_BOUND;
-    }
-    let phi = step.inv_dx * sample_distance(x + distance / (distance - beneath) * way).x;
-    return select(NO_BOUND, phi, phi >= 0.0);
-}
-
-// The bound at a cell of liquid. sides: separated cells beside it, a bit of four per side.
+// The bound at a cell. sides: separated cells beside it, a bit of four per side.
 fn bound_at(cell: u32, at: vec3<i32>, separates: bool, sides: u32) -> f32 {
     let phi = step.inv_dx * distances[cell];
     let distance = body_distance(cell);
+    if phi >= 0.0 || distance < 0.0 {
+        return NO_BOUND;
+    }
     let motion = step.dt * step.inv_dx * velocity_in(cell);
     var bound = NO_BOUND;
     var leaves_body = separates;
@@ -142,21 +118,12 @@ fn separated_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let first = quad_cell(level, quad);
     let inside = lane_bits(lanes_inside(first, vec3<i32>(level.cells)));
     let around = beside | beside >> 12u;
-    let separate = own | around | around >> 4u | around >> 8u;
-    for (var n = 0u; n < 4u; n++) {
-        let cell = 4u * quad + n;
+    var lanes = (own | around | around >> 4u | around >> 8u) & inside;
+    while lanes != 0u {
+        let n = firstTrailingBit(lanes);
+        lanes &= lanes - 1u;
         let at = first + vec3<i32>(i32(n), 0, 0);
-        let distance = body_distance(cell);
-        if (inside >> n & 1u) == 0u || distance < 0.0 {
-            continue;
-        }
-        if distances[cell] < 0.0 {
-            if (separate >> n & 1u) != 0u {
-                bounds[n] = bound_at(cell, at, (own >> n & 1u) != 0u, beside >> n);
-            }
-        } else if distance < PATH_REACH {
-            bounds[n] = air_at_body(cell, at, distance);
-        }
+        bounds[n] = bound_at(4u * quad + n, at, (own >> n & 1u) != 0u, beside >> n);
     }
     separation_bounds[quad] = bounds;
 }

@@ -34,8 +34,7 @@ fn sink_volumes(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     let distance = solid_distance[min(cell, arrayLength(&solid_distance) - 1u)];
     let open_volume = filled_part(-distance / step.dx);
     // Initial liquid in a sink sinks in the first sub-step.
-    let left_there = select(largest_shift(level_step.courant), 0.0, level_step.number == 0u);
-    let before = min(filled_part(liquid_distance[cell] / step.dx), left_there);
+    let before = select(filled_part(liquid_distance[cell] / step.dx), 0.0, level_step.number == 0u);
     let came = filled_part(carried_level[cell]) - before;
     carried_level[cell] = max(carried_level[cell], SINK_LEVEL);
     remove_volume(component[cell], SUNK_VOLUME, open_volume * max(came, 0.0));

@@ -20,16 +20,21 @@
 
 // Constants of reference/volume_shift.rs. Part of the target within which nothing moves.
 const DEAD_BAND = 0.005;
-// Part of the target beyond which what lacks returns at once, and by how far at most, cells.
-const MAY_LACK = 0.025;
+// Deficit beyond which volume returns at once, over the target.
+const ALLOWED_DEFICIT = 0.025;
+// Largest shift at once, cells.
 const AT_ONCE = 1.0;
+// Distance from bodies from which the shift at once is whole, cells.
+const BESIDE_BODY = 0.5;
 // Least area, cells.
 const LEAST_AREA = 1e-6;
-// Largest shift inwards over that outwards.
+// Largest gradual shift inwards over that outwards.
 const INWARDS = 0.25;
 
-// Distance from bodies from which all that lacks returns at once, cells.
-const BESIDE_BODY = 0.5;
+// Largest gradual shift outwards, cells.
+fn largest_shift(courant: f32) -> f32 {
+    return min(0.16 * max(courant * courant / 9.0, 1.0), 2.0);
+}
 
 // Shift of a component, and what returns at once beyond it, cells.
 fn shift_of(label: u32) -> vec2<f32> {
@@ -43,7 +48,7 @@ fn shift_of(label: u32) -> vec2<f32> {
     let moved = sign(lacks) * max(abs(lacks) - DEAD_BAND * abs(goal), 0.0);
     let largest = largest_shift(level_step.courant);
     let in_time = clamp(moved * min(step.dt / step.control_time, 1.0) / area, -INWARDS * largest, largest);
-    let beyond = lacks - MAY_LACK * abs(goal);
+    let beyond = lacks - ALLOWED_DEFICIT * abs(goal);
     return vec2<f32>(in_time, select(0.0, max(min(beyond / area, AT_ONCE) - in_time, 0.0), beyond > 0.0));
 }
 

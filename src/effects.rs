@@ -270,6 +270,11 @@ impl Effects {
         self.open_sides || self.sources || self.sinks
     }
 
+    /// Whether liquid may leave bodies, all of which are at rest.
+    pub fn leaves_still_bodies(&self) -> bool {
+        self.separation && self.obstacles && !self.clips()
+    }
+
     /// Whether the cuts move: `clip` in every sub-step.
     pub fn clips(&self) -> bool {
         self.coupling || self.moving_obstacles

@@ -207,7 +207,7 @@ pub const SCHEDULE: [Row; 29] = [
     Row {
         stage: Stage::Redistance,
         name: "redistance",
-        sentence: "Makes the level a distance again; interface cells stay (after Russo and Smereka 2000).",
+        sentence: "Makes the level a distance again; interface cells stay unless too steep or flat (after Russo and Smereka 2000).",
         runner: Runner::Both,
         when: |effects| every(effects.level),
     },

@@ -14,8 +14,3 @@ struct LevelStep {
     pad_0: u32,
     pad_1: u32,
 }
-
-// Largest shift of the level outwards, cells: largest_shift of the twin, reference/volume_shift.rs.
-fn largest_shift(courant: f32) -> f32 {
-    return min(0.16 * max(courant * courant / 9.0, 1.0), 2.0);
-}

@@ -3,7 +3,7 @@
 const REACH = 5.0;
 // Level in bodies that the extension does not reach, cells.
 const AIR_IN_BODIES = 1.0;
-// Bound of the level where no liquid leaves a wall, cells.
+// No bound of the level (separated_level, air_at_bodies), cells.
 const NO_BOUND = -1e30;
 // Occupancy of cells whose surroundings are hardly open.
 const UNKNOWN_OCCUPANCY = -1.0;

@@ -421,7 +421,7 @@ impl Solids {
         Deformation::new(&self.gradients[element], u, model)
     }
 
-    /// Deformations of all elements.
+    /// Deformations of all elements. `displacement`: of all nodes, m.
     pub fn deformations(&self, displacement: &[[f64; 3]]) -> Vec<Deformation> {
         (0..self.elements.len()).into_par_iter().map(|element| self.deformation(element, displacement)).collect()
     }

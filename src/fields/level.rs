@@ -109,7 +109,7 @@ arrays! {
             overlaps = density_now while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
             // Parts of the old targets, at the new labels, and zero after the stage.
             shares = density_next while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
-            // With separation: bounds of the level where liquid leaves walls, cells; the first half.
+            // With separation: bounds of the level at walls and bodies, cells; the first half.
             separation_bounds = density_next while AdvectLevel..=Redistance, free MarkerBand..=Redistance,
             // Areas of the surfaces, at the labels.
             areas = density_next while VolumeShift..=VolumeShift, free LiquidComponents..=VolumeShift,
@@ -179,7 +179,7 @@ impl LevelBuffers {
         gpu.upload(&self.marker_args, &[x, y, z, used]);
     }
 
-    /// Waits for all submitted work and reads the bounds of the level where liquid leaves walls, from `advect_level` to `redistance`: cells in
+    /// Waits for all submitted work and reads the bounds of the level at walls and bodies, from `advect_level` to `redistance`: cells in
     /// the device layout. `None` without separation.
     pub fn read_separation_bounds(&self, gpu: &Gpu) -> Result<Option<Vec<f32>>, Error> {
         if !self.plan.effects.separation {

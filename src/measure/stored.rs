@@ -16,7 +16,7 @@ use crate::step::Stage;
 /// Receives a system and its solution, with the fields after the solve.
 pub(super) type Observer<'a> = &'a mut dyn FnMut(&GpuPath, &Snapshot, StepSystem) -> Result<(), Error>;
 
-/// Computes a sub-step and passes on its systems, as [`crate::reference::Reference::step_observed`] does.
+/// Computes a sub-step and calls the observer with each of its systems and its solution, as [`crate::reference::Reference::step_observed`] does.
 pub(super) fn step_observed(path: &mut GpuPath, observer: Observer) -> Result<StepReport, Error> {
     let dt = path.next_time_step().dt;
     // Right-hand side of the pressure, m/s. The solve subtracts the flux of the solids from it.

@@ -49,16 +49,16 @@ pub fn outflow(
     Axis::ALL.map(|axis| of_axis(axis).collect::<Vec<_>>()).concat()
 }
 
-/// Volumes that the transport of the level (cells) from `before` to `carried` brought into the cells of sinks. What a shift of the level may
-/// have left there, `largest` (0 in the first sub-step, then [`largest_shift`](super::largest_shift)), does not count.
+/// Volumes (m^3) that the transport of the level (cells) to `carried` brought into the cells of sinks. What a shift of the level left there
+/// `before` does not count.
 pub fn sunk_volumes(
     taps: &SourcesAndSinks,
     open_volumes: &[f64],
-    [before, carried]: [&[f64]; 2],
-    largest: f64,
+    before: Option<&[f64]>,
+    carried: &[f64],
 ) -> Vec<CellVolume> {
     let sunk = taps.sink_cells.iter().map(|&cell| {
-        let came = filled(carried[cell]) - filled(before[cell]).min(largest);
+        let came = filled(carried[cell]) - before.map_or(0.0, |before| filled(before[cell]));
         (cell, open_volumes[cell] * came.max(0.0))
     });
     sunk.collect()

@@ -37,13 +37,13 @@ pub fn liquid_distance(grid: &Grid, cut: &CutCells, markers: &[[f64; 3]], radius
     phi
 }
 
-/// Extends the distance (m) of spheres into obstacles, among the cells that take part.
+/// Extends the distance (m) of spheres into obstacles. Cells that do not take part contribute nothing; in obstacles they become air, dx.
 pub fn extend_spheres(grid: &Grid, cut: &CutCells, takes_part: impl Fn(usize) -> bool + Sync, phi: &mut [f64]) {
     let rule = Extension { flat_pairs: 1.0, overshoot: 0.0, through_closed: false, air: grid.dx };
     extend(grid, cut, rule, takes_part, phi);
 }
 
-/// phi per cell (m) before the extension.
+/// phi per cell (m) before the extension. `solid_distance`: per cell, m; `markers` and `radius` in m.
 pub fn union_of_spheres(grid: &Grid, solid_distance: &[f64], markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let bins = Bins::new(grid, markers);
     let full =

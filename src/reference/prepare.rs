@@ -94,7 +94,7 @@ fn prepare_level(grid: &Grid, cut: &CutCells, open_volumes: &[f64], surface: &Li
     for _ in 0..SHIFTS {
         let distance = &mut state.liquid_distance;
         let whole = ([1.0; 2], largest_shift(0.0));
-        let shifts = volume_shift(grid, [open_volumes, &cut.solid_distance], &components, &targets, whole, distance);
+        let shifts = volume_shift(grid, open_volumes, &cut.solid_distance, &components, &targets, whole, distance);
         if shifts.iter().all(|&shift| shift == 0.0) {
             break;
         }

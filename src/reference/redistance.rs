@@ -1,6 +1,6 @@
-//! `redistance`: restores the level to a distance, without moving the surface.
+//! `redistance`: restores the level to a distance, and moves the surface as little as possible.
 //!
-//! An interface cell has a neighbour of the other sign. Its value does not change. Redistancing that moves the surface a little in
+//! An interface cell has a neighbour of the other sign. Its value changes in (c) alone, where its gradient is far from 1. Redistancing that moves the surface a little in
 //! every sub-step amplifies or damps small waves (Russo and Smereka 2000 fix this in part).
 //!
 //! ```text
@@ -18,7 +18,7 @@
 //! beside a floating ball reached 12 m/s. (c) is the relaxation of Sussman et al. (1994). An interface cell changes, f -= 0.4 (f - phi / m),
 //! only if its gradient m is above 1.4, or below 0.7 without a kink at it or at a neighbour across the interface. A kink has
 //! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where a small m means nothing. A
-//! large one does: a film of one cell that leaves thicker liquid has its depth, and would be too thick by that.
+//! large one does: a film of one cell that separates from thicker liquid retains the level of that liquid, and counts as too thick.
 //!
 //! Liquid that leaves a wall has its surface between a cell and the wall ([`separated_level`](super::separated_level)). That cell is at the interface, and
 //! its value does not change.
@@ -39,7 +39,7 @@ const NEAR: f64 = 2.5;
 const FAR: f64 = 3.5;
 /// Step of the relaxation, cells.
 const STEP: f64 = 0.4;
-/// Gradients of interface cells that stay.
+/// Gradients of interface cells that stay; at kinks only the upper limit holds.
 const GRADIENTS: [f64; 2] = [0.7, 1.4];
 /// Slope below which the interface is hidden behind a body.
 const LEAST_SLOPE: f64 = 0.5;

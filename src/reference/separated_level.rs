@@ -18,13 +18,6 @@
 //! `bound_level` raises the level to this bound, and `redistance` counts the cell as one at the interface. Cells with their centre in a body
 //! have the extended level of the cell beside them, which is bounded in their place.
 //!
-//! The liquid that leaves a bar has a velocity away from it, which would carry the surface from the far side of the bar through it. Air at a
-//! point x whose departure point o lies in a body therefore has the level where the path leaves the body, if that is air,
-//!
-//! ```text
-//! bound = phi(x + (o - x) s / (s - s(o)))
-//! ```
-//!
 //! The volume of such a cell counts as full until its surface is within a quarter of a cell of its centre.
 
 use glam::DVec3;
@@ -35,8 +28,6 @@ use crate::grid::Axis;
 
 /// Distance from a body up to which cells belong to its surface, cells.
 const BODY_REACH: f64 = 1.25;
-/// Distance from a body up to which paths back enter it, cells: the default of `cfl`.
-const PATH_REACH: f64 = 3.0;
 /// Distance of a centre from a wall of the domain, cells.
 const AT_WALL: f64 = 0.5;
 /// Gap over the way of the liquid up to which it moves along the wall.
@@ -57,14 +48,11 @@ pub fn separated_level(
     }
     let bound = |cell: usize| {
         let distance = cut.solid_distance[cell] / grid.dx;
-        if !cells.is_open(cell) {
+        if level[cell] >= 0.0 || !cells.is_open(cell) {
             return f64::NEG_INFINITY;
         }
         let ijk = grid.cell_at(cell);
         let x = grid.cell_centre(ijk);
-        if level[cell] >= 0.0 {
-            return air_at_body(cells, faces, level, cell, dt);
-        }
         let motion = dt / grid.dx * grid.cell_velocity(faces, cell);
         let from_wall = |n: DVec3, s: f64| {
             let inner = grid.sample_cells(level, x + grid.dx * n);
@@ -90,20 +78,6 @@ pub fn separated_level(
         n.filter(|n| *n != DVec3::ZERO).map_or(bound, |n| bound.max(from_wall(n, distance)))
     };
     (0..level.len()).into_par_iter().map(bound).collect()
-}
-
-/// The bound at a cell of air in front of a body that its path back enters.
-fn air_at_body(cells: LevelCells, faces: &[Vec<f64>; 3], level: &[f64], cell: usize, dt: f64) -> f64 {
-    let LevelCells { grid, cut } = cells;
-    let distance = cut.solid_distance[cell] / grid.dx;
-    let x = grid.cell_centre(grid.cell_at(cell));
-    let way = grid.traced(faces, x, -dt) - x;
-    let beneath = grid.sample_cells(&cut.solid_distance, x + way) / grid.dx;
-    if distance >= PATH_REACH || beneath >= 0.0 {
-        return f64::NEG_INFINITY;
-    }
-    let phi = grid.sample_cells(level, x + distance / (distance - beneath) * way);
-    if phi >= 0.0 { phi } else { f64::NEG_INFINITY }
 }
 
 /// Direction away from the nearest body at x (m); 0 where the distance has no gradient.

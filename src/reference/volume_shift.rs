@@ -10,9 +10,9 @@
 //! target less the volume, less a dead band of 0.5 % of the target. The measured volume of a wave changes by that much at constant
 //! true volume, and a shift by it would amplify the wave.
 //!
-//! D_k is what lacks beyond 2.5 % of the target. Liquid that lands moves into the floor by up to its way in a sub-step, and regains that
-//! volume at once. Not where the distance s to a body is 0: a pocket of air beside one would get cells with hardly any liquid, which squirt.
-//! Enclosed components have no surface to move.
+//! D_k is the deficit beyond 2.5 % of the target. Landing liquid overlaps the floor by up to its displacement in a sub-step, and this restores
+//! that volume at once. The shift is 0 at bodies (s = 0), where an air pocket would get cells of hardly any liquid, which jet. Enclosed components
+//! have no surface to move.
 
 use rayon::prelude::*;
 
@@ -21,33 +21,34 @@ use crate::grid::Grid;
 
 /// Part of the target within which nothing moves.
 pub(super) const DEAD_BAND: f64 = 0.005;
-/// Part of the target beyond which what lacks returns at once, and by how far at most, cells.
-const MAY_LACK: f64 = 0.025;
+/// Deficit beyond which volume returns at once, over the target.
+const ALLOWED_DEFICIT: f64 = 0.025;
+/// Largest shift at once, cells.
 const AT_ONCE: f64 = 1.0;
-/// Largest shift outwards in a sub-step, cells.
+/// Distance from bodies from which the shift at once is whole, cells.
+const BESIDE_BODY: f64 = 0.5;
+/// Largest gradual shift outwards in a sub-step, cells.
 const LARGEST: f64 = 0.16;
 /// Bound of the same in sub-steps of any length, cells: air further from liquid does not move.
 const MOST: f64 = 2.0;
-/// Largest shift inwards over that outwards. Twice that erases films thinner than a cell.
+/// Largest gradual shift inwards over that outwards. Twice that erases films thinner than a cell.
 const INWARDS: f64 = 0.25;
 /// Least A_k, cells: a smaller surface is rounding.
 const LEAST_AREA: f64 = 1e-6;
-/// Courant number above which the largest shift grows with its square.
+/// Courant number above which the largest gradual shift grows with its square.
 const LONG: f64 = 3.0;
 
-/// Largest shift outwards in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
+/// Largest gradual shift outwards in a sub-step with the [Courant number](super::TimeStep::courant) of the surface, cells.
 pub fn largest_shift(courant: f64) -> f64 {
     (LARGEST * (courant / LONG).powi(2).max(1.0)).min(MOST)
 }
 
-/// Distance from bodies from which all that lacks returns at once, cells.
-const BESIDE_BODY: f64 = 0.5;
-
-/// Shifts the liquid distance (m). `open`: open volumes, m^3, and distances to bodies, m, of the cells; `volume_0`: targets, m^3; `control_time` and `dt` in s; `largest` from [`largest_shift`]. Returns the
-/// largest shifts, cells.
+/// Shifts the liquid distance (m). `open_volumes`: of the cells, m^3; `solid_distance`: to bodies, m; `volume_0`: targets, m^3; `control_time` and
+/// `dt` in s; `largest` from [`largest_shift`]. Returns the shift of each component away from bodies, cells.
 pub fn volume_shift(
     grid: &Grid,
-    [open_volumes, solid_distance]: [&[f64]; 2],
+    open_volumes: &[f64],
+    solid_distance: &[f64],
     components: &Components,
     volume_0: &[f64],
     ([control_time, dt], largest): ([f64; 2], f64),
@@ -69,7 +70,7 @@ pub fn volume_shift(
         }
         let in_time = beyond(DEAD_BAND) * (dt / control_time).min(1.0) / area[k];
         let in_time = in_time.clamp(-INWARDS * largest, largest);
-        let at_once = (beyond(MAY_LACK).max(0.0) / area[k]).min(AT_ONCE);
+        let at_once = (beyond(ALLOWED_DEFICIT).max(0.0) / area[k]).min(AT_ONCE);
         [in_time, if at_once > 0.0 { (at_once - in_time).max(0.0) } else { 0.0 }]
     };
     let shifts: Vec<[f64; 2]> = (0..volume_0.len()).map(shift).collect();

@@ -129,7 +129,7 @@ impl LiquidSnapshot {
 pub struct LevelSnapshot {
     /// Level after its transport, cells.
     pub carried: Vec<f64>,
-    /// Bounds of the level where liquid leaves walls, cells, minus infinity elsewhere: from `advect_level` to `redistance`. Empty without separation.
+    /// Bounds of the level at walls and bodies, cells, minus infinity elsewhere: from `advect_level` to `redistance`. Empty without separation.
     pub separation_bounds: Vec<f64>,
     /// Level after the last stage that changed it, cells.
     pub level: Vec<f64>,

@@ -29,8 +29,12 @@ pub fn advect_level(
         over_band(wgsl!("component_origins"), &[("labels", (&level.component).into()), departures])?,
         over_band(wgsl!("correct_level"), &[distances])?,
     ];
-    if liquid.plan.effects.separation {
+    let effects = liquid.plan.effects;
+    if effects.separation {
         list.push(over_band(wgsl!("separated_level"), &[distances])?);
+        if effects.leaves_still_bodies() {
+            list.push(over_band(wgsl!("air_at_bodies"), &[distances])?);
+        }
     }
     Ok(Dispatches::new(Stage::AdvectLevel.name(), list))
 }

@@ -453,8 +453,7 @@ fn a_level_exchanges_as_in_the_twin() {
         let fills = reference::fill_sources(grid, &run.taps, running, &open_volumes, &mut twin);
         let level = case.state.liquid_distance.iter().map(|phi| phi / grid.dx);
         let level: Vec<f64> = level.collect();
-        let sunk =
-            reference::sunk_volumes(&run.taps, &open_volumes, [&level, &twin], reference::largest_shift(COURANT));
+        let sunk = reference::sunk_volumes(&run.taps, &open_volumes, Some(&level[..]), &twin);
         reference::empty_level_sinks(&run.taps, &mut twin);
         // The levels of both are copies, and those of the fills f32.
         assert_close(

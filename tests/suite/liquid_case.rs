@@ -236,7 +236,7 @@ impl Case {
             size: self.grid.size().to_array().map(|n| n as f32),
             dx: self.grid.dx as f32,
             inv_dx: (1.0 / self.grid.dx) as f32,
-            control_time: 0.04,
+            control_time: 1.0,
             volume_0: 0.0,
             density: DENSITY as f32,
             marker_radius: RADIUS as f32,

@@ -258,8 +258,9 @@ fn check_components(run: &Run, phi: &[f64], volume_0: &[f64], origins: &[u32]) -
     twin
 }
 
-/// Asserts the shift of `phi` (m) with the volumes and targets of the device; how many components move, and how many at once.
-fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> [usize; 2] {
+/// Asserts the shift of `phi` (m) with the volumes and targets of the device; how many components move, how many at once, and how many cells
+/// of the latter are beside bodies.
+fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> [usize; 3] {
     let (case, grid) = (run.case, &run.case.grid);
     let one = grid.cell_volume();
     let (volumes, enclosed) = run.volumes(&run.labels());
@@ -268,10 +269,10 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> [usize; 2] {
     let targets = run.state().component_volume;
     let open = reference::open_volumes(grid, &case.cut.solid_distance);
     let mut shifted = phi.to_vec();
-    let times = [0.04_f32, case.dt as f32].map(f64::from);
+    let times = [1.0, f64::from(case.dt as f32)];
     let limits = (times, reference::largest_shift(COURANT));
-    let shifts =
-        reference::volume_shift(grid, [&open, &case.cut.solid_distance], &components, &targets, limits, &mut shifted);
+    let bodies = &case.cut.solid_distance;
+    let shifts = reference::volume_shift(grid, &open, bodies, &components, &targets, limits, &mut shifted);
     let mut area = vec![[0.0; 2]; targets.len()];
     for (cell, &label) in twin.label.iter().enumerate().filter(|(_, label)| **label > 0) {
         let near = (1.0 - (phi[cell] / grid.dx).abs()).clamp(0.0, 1.0);
@@ -289,7 +290,7 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> [usize; 2] {
         let at_once = f64::from(target - volumes[k] + off_lacks > 0.025 * target);
         let speed = ((times[1] / times[0]).min(1.0) + at_once) / area;
         // No shift is off by more than its range.
-        let range = 0.08 + at_once;
+        let range = 1.25 * reference::largest_shift(COURANT);
         let off = speed * (off_lacks + 2.0 * lacks * relative);
         if off.is_nan() { range } else { off.min(range) }
     };
@@ -309,9 +310,13 @@ fn check_shift(run: &Run, phi: &[f64], twin: &Components) -> [usize; 2] {
             (after[cell], shifted[cell], off, grid.cell_at(cell))
         }),
     );
-    let moved = (0..shifts.len()).filter(|&k| shifts[k] != 0.0);
-    let lacking = moved.clone().filter(|&k| targets[k] - components.volume[k] > 0.026 * targets[k]);
-    [moved.count(), lacking.count()]
+    let moved = shifts.iter().filter(|shift| **shift != 0.0).count();
+    let gradual = |k: usize| (targets[k] - components.volume[k]) / one * (times[1] / times[0]) / area[k][0];
+    let at_once: Vec<bool> = (0..shifts.len()).map(|k| shifts[k] > 0.0 && shifts[k] > 1.1 * gradual(k)).collect();
+    let beside = |cell: &usize| (0.1..0.4).contains(&(bodies[*cell] / grid.dx));
+    let of_these = |cell: &usize| twin.label[*cell] > 0 && at_once[twin.label[*cell] as usize - 1];
+    let cells = (0..grid.n_cells()).filter(beside).filter(of_these).count();
+    [moved, at_once.into_iter().filter(|at_once| *at_once).count(), cells]
 }
 
 /// Asserts e in liquid of `phi` (m); how many cells have one.
@@ -396,7 +401,7 @@ fn all_cases() -> Vec<Case> {
 #[test]
 fn components_have_the_twins_labels_and_volumes() {
     let Some(gpu) = gpu() else { return };
-    let (mut most, mut moved, mut dense, mut enclosed, mut flown) = (0, [0; 2], 0, 0, 0);
+    let (mut most, mut moved, mut dense, mut enclosed, mut flown) = (0, [0; 3], 0, 0, 0);
     for case in all_cases() {
         let grid = &case.grid;
         let one = grid.cell_volume();
@@ -423,8 +428,8 @@ fn components_have_the_twins_labels_and_volumes() {
         // The excess is in the way of the areas, which are zero after the components.
         run.write();
         run.record(&[&run.origins, &run.components, &run.shift]);
-        let [all, at_once] = check_shift(&run, &phi, &twin);
-        moved = [moved[0] + all, moved[1] + at_once];
+        let counts = check_shift(&run, &phi, &twin);
+        moved = [0, 1, 2].map(|n| moved[n] + counts[n]);
         run.record(&[&run.excess]);
         let first = run.bits();
         run.write();
@@ -434,8 +439,8 @@ fn components_have_the_twins_labels_and_volumes() {
         enclosed += twin.enclosed.iter().filter(|enclosed| **enclosed).count();
         flown += check_flights(&run, &mut random);
     }
-    let counts = [most, moved[0], moved[1], dense, enclosed, flown];
-    let least = [20, 20, 10, 100, 1, 20];
+    let counts = [most, moved[0], moved[1], moved[2], dense, enclosed, flown];
+    let least = [20, 20, 10, 10, 100, 1, 20];
     let enough = counts.iter().zip(least).all(|(count, least)| *count >= least);
     assert!(enough, "{counts:?}");
 }
@@ -653,7 +658,7 @@ fn an_excess_is_a_source_as_in_the_twin() {
             let mut twin = reference::RightHandSide { values: without.iter().map(volume).collect(), scale: 0.0 };
             let cells = active.cells.stencil.active_cells().into_iter();
             sources += active.cells.stencil.active_cells().len();
-            let times = [0.04_f32, case.dt as f32].map(f64::from);
+            let times = [1.0, f64::from(case.dt as f32)];
             reference::add_excess(&e, &open_volumes, cells, times, &mut twin);
             // The source: the time, the open volume, dx and three products; the sum with what was there.
             let source = grid.dx / (2.5 * times[0]).max(1.5 * times[1]);

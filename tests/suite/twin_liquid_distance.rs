@@ -104,7 +104,7 @@ fn check_volume(run: &Run, phi: &[f64]) {
     let deep = if run.buffers.partials.real == Real::F32 { 64.0 } else { 0.0 };
     let whole = grid.size().element_product();
     let bound = EPS * (6.0 + deep) * whole;
-    let rate = reference::volume_rate(run.volume_0, volume, f64::from(0.04f32), case.dt);
+    let rate = reference::volume_rate(run.volume_0, volume, 1.0, case.dt);
     let energy: f64 = (0..grid.n_cells())
         .map(|cell| {
             let volume = open[cell] * (0.5 - phi[cell] / grid.dx).clamp(0.0, 1.0);

@@ -222,7 +222,7 @@ fn is_meta(path: &Path) -> bool {
     ["cutwater", "step", "unknowns", "residual"].iter().all(|key| meta.get(key).is_some())
 }
 
-/// Runs to a sub-step and returns what `read` returns of its systems.
+/// Runs to a sub-step and returns the first value that `read` extracts from a system.
 fn value_of<T>(
     scene: &Scene,
     options: &Options,

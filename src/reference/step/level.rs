@@ -6,11 +6,11 @@ use crate::reference::level_cells::in_cells;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
-    advect_level, advect_level_markers, balance, bound_level, cap_targets, closed_to_markers, component_origins,
-    emit_markers, empty_level_sinks, excess, extend_level, fill_sources, filter_level, hold_source_origins,
-    interpolant_part, land, largest_shift, limit_targets, liquid_components, marker_band, move_spray_volume, occupancy,
-    open_volumes, outflow, raise_separated, redistance, remove_volumes, renewed_volume, separated_level,
-    shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
+    advect_level, advect_level_markers, air_at_bodies, balance, bound_level, cap_targets, closed_to_markers,
+    component_origins, emit_markers, empty_level_sinks, excess, extend_level, fill_sources, filter_level,
+    hold_source_origins, interpolant_part, land, largest_shift, limit_targets, liquid_components, marker_band,
+    move_spray_volume, occupancy, open_volumes, outflow, raise_separated, redistance, remove_volumes, renewed_volume,
+    separated_level, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -19,7 +19,7 @@ use crate::state::State;
 pub(super) struct LevelResults {
     /// Level after its transport, cells.
     carried: Vec<f64>,
-    /// Bounds of the level where liquid leaves walls, cells.
+    /// Bounds of the level at walls and bodies, cells.
     separation_bounds: Vec<f64>,
     occupancy: Vec<f64>,
     thin: Vec<bool>,
@@ -140,16 +140,19 @@ impl SubStep<'_> {
         let ballistic = self.ballistic(&filled_before);
         let dt = self.time_step.dt;
         let mut carried = advect_level(grid, open, &before.velocity, &ballistic, &level, dt);
-        let (open_volumes, largest) = (self.open_volumes(), largest_shift(self.time_step.courant));
-        let bounds = separated_level(self.cells(), &before.velocity, &before.separated, &level, dt);
+        let open_volumes = self.open_volumes();
+        let mut bounds = separated_level(self.cells(), &before.velocity, &before.separated, &level, dt);
+        if model.effects.leaves_still_bodies() {
+            air_at_bodies(self.cells(), &before.velocity, &level, dt, &mut bounds);
+        }
         let results = &mut self.results.level;
         results.separation_bounds = bounds;
         results.first_fill = fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
         let apertures = &self.boundary.cut_cells().open;
         let left = outflow(grid, open, apertures, &before.velocity, &level, dt);
         // Initial liquid in a sink sinks in the first sub-step.
-        let left_there = if before.step == 0 { 0.0 } else { largest };
-        let sunk = sunk_volumes(&model.taps, &open_volumes, [&level, &carried], left_there);
+        let left_there = (before.step > 0).then_some(&level[..]);
+        let sunk = sunk_volumes(&model.taps, &open_volumes, left_there, &carried);
         empty_level_sinks(&model.taps, &mut carried);
         results.carried = carried;
         for (volumes, removed) in [left, sunk].iter().zip(&mut results.removed) {
@@ -248,12 +251,12 @@ impl SubStep<'_> {
     }
 
     pub(super) fn volume_shift(&mut self) {
-        let open = [&self.open_volumes()[..], &self.boundary.cut_cells().solid_distance];
+        let (open_volumes, walls) = (self.open_volumes(), &self.boundary.cut_cells().solid_distance);
         let limits = (self.times(), largest_shift(self.time_step.courant));
         let components = &self.results.level.components;
         let after = &mut self.after;
         let (targets, distance) = (&after.component_volume, &mut after.liquid_distance);
-        volume_shift(&self.model.grid, open, components, targets, limits, distance);
+        volume_shift(&self.model.grid, &open_volumes, walls, components, targets, limits, distance);
     }
 
     pub(super) fn excess(&mut self) {

@@ -123,16 +123,20 @@ impl LiquidComparison<'_> {
         }
     }
 
-    /// The normal of a body is off by the rounding of two distances over their difference, at least half a cell. A path back that ends at
-    /// a body may enter it or not.
+    /// The normal of a body is off by the rounding of two distances over their difference, at least half a cell. A path back of air that ends at
+    /// a body may enter it or not; where it enters it is off by the roundings of two distances, times the slope of the path.
     fn separated_level(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot, level: &[f64]) {
         let velocity = &self.before.velocity;
         let finite = |bounds: &[f64]| -> Vec<f64> { bounds.iter().map(|bound| bound.max(-REACH)).collect() };
         let motion = self.dt() * reference::max_speed(velocity) / self.grid.dx;
         let bound = EPS * (PASS * REACH + 16.0 * self.extent() * motion);
         let separated = |velocity: &_, level: &[f64]| {
-            let before = &self.before.separated;
-            finite(&reference::separated_level(self.level_cells(), velocity, before, level, self.dt()))
+            let (before, dt) = (&self.before.separated, self.dt());
+            let mut bounds = reference::separated_level(self.level_cells(), velocity, before, level, dt);
+            if self.effects().leaves_still_bodies() {
+                reference::air_at_bodies(self.level_cells(), velocity, level, dt, &mut bounds);
+            }
+            finite(&bounds)
         };
         let mut twins = self.twins(level, EPS * REACH, |level| separated(velocity, level));
         let by = 16.0 * EPS * reference::max_speed(velocity);
@@ -145,11 +149,11 @@ impl LiquidComparison<'_> {
     fn exchange_level(&mut self, after: &LiquidSnapshot, level: &[f64], (twins, bound): (&mut [Vec<f64>], f64)) {
         let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
         let one = grid.cell_volume();
-        let most = if self.running.step == 0 { 0.0 } else { reference::largest_shift(self.courant) };
+        let left_there = (self.running.step > 0).then_some(level);
         let sums = twins.iter_mut().map(|twin| {
             *twin = self.with_air(after, twin);
             let filled = reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
-            let sunk = reference::sunk_volumes(taps, &self.open_volumes, [level, twin], most);
+            let sunk = reference::sunk_volumes(taps, &self.open_volumes, left_there, twin);
             reference::empty_level_sinks(taps, twin);
             let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
             [sunk / one, filled.iter().sum::<f64>() / one]
@@ -273,8 +277,8 @@ impl LiquidComparison<'_> {
         self.band_cells(["phi", "cells"], after, &now.level, &twins, PASS * EPS * REACH);
     }
 
-    /// Each pass adds the roundings of a root of sums of squares. The distance is the least of all paths, so a tie with its limits takes a
-    /// level that moves as one.
+    /// Each pass adds the roundings of a root of sums of squares. Ties of two paths are
+    /// covered by twins whose whole level moves outwards or inwards.
     pub(super) fn redistance(&mut self, Change { after, before, now }: Change) {
         let level = self.with_air(after, &before.level);
         let bound = PASSES * PASS * EPS * REACH;
@@ -356,10 +360,17 @@ impl LiquidComparison<'_> {
         let (grid, components) = (self.grid, &self.components);
         let times = [f64::from(self.step.control_time), self.dt()];
         let limits = (times, reference::largest_shift(self.courant));
-        let open = [&self.open_volumes[..], &self.cut.solid_distance];
         let shifted = |targets: &[f64]| {
             let mut distance = self.before.liquid_distance.clone();
-            reference::volume_shift(&grid, open, components, targets, limits, &mut distance);
+            reference::volume_shift(
+                &grid,
+                &self.open_volumes,
+                &self.cut.solid_distance,
+                components,
+                targets,
+                limits,
+                &mut distance,
+            );
             distance
         };
         let targets = &now.component_volume;
