@@ -310,7 +310,7 @@ fn pools_at_rest_stay_at_the_walls() {
         for kind in ["walls", "from_air"] {
             let liquid = format!("separation = \"{kind}\"\n{}{obstacles}", filled([1.0, 0.5]));
             let mut simulation = start(&domain([20, 20, 4], dx, -GRAVITY, &liquid));
-            for step in 0..30 {
+            for step in 0..100 {
                 let report = separation(&simulation.step().unwrap());
                 assert_eq!((report.cells, report.rounds), (0, 1), "{name}, {kind}, step {step}");
                 assert!(report.least_pressure > 0.0, "{name}, {kind}, step {step}: {report:?}");
