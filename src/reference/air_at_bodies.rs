@@ -21,7 +21,7 @@ const PATH_REACH: f64 = 2.99;
 /// Samples of a path.
 const SAMPLES: u32 = 4;
 
-/// Raises bounds of the level (cells), as of [`separated_level`](super::separated_level), in cells of air whose path back in dt (s) in the
+/// Raises bounds of the level (cells), as of [`separation_bounds`](super::separation_bounds), in cells of air whose path back in dt (s) in the
 /// velocity of the faces (m/s) enters a body.
 pub fn air_at_bodies(cells: LevelCells, faces: &[Vec<f64>; 3], level: &[f64], dt: f64, bounds: &mut [f64]) {
     bounds.par_iter_mut().enumerate().for_each(|(cell, bound)| {

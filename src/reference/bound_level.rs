@@ -16,7 +16,7 @@
 //! is deeper than 1.5 cells. In thick liquid only a surface that differs by half a cell moves, so the noise of the markers
 //! has no effect.
 //!
-//! [`separated_level`](super::separated_level) and [`air_at_bodies`](super::air_at_bodies) then bound it at walls and bodies.
+//! [`separation_bounds`](super::separation_bounds) then apply at walls and bodies.
 
 use rayon::prelude::*;
 

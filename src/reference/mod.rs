@@ -110,7 +110,7 @@ pub use refine::EPSILON;
 pub(crate) use refine::{Correction, LinearSystem, part_left, refine_parts};
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
-pub use separated_level::{raise_separated, separated_level};
+pub use separated_level::{raise_separated, separation_bounds};
 pub use separation::{Candidates, Separation, opening, touching_cells};
 pub use slivers::{is_sliver, shown_to_whole};
 pub use solid_contacts::{

@@ -20,7 +20,7 @@
 //! one-sided slopes of opposite sign, both steeper than 0.1. It is the edge of a sheet or a collision, where a small m means nothing. A
 //! large one does: a film of one cell that separates from thicker liquid retains the level of that liquid, and counts as too thick.
 //!
-//! Liquid that leaves a wall has its surface between a cell and the wall ([`separated_level`](super::separated_level)). That cell is at the interface, and
+//! Liquid that leaves a wall has its surface between a cell and the wall ([`separation_bounds`](super::separation_bounds)). That cell is at the interface, and
 //! its value does not change.
 //!
 //! Cells with their centre in a body have an extended level. Gradients and distances include them, so that liquid under an overhang has
@@ -46,7 +46,7 @@ const LEAST_SLOPE: f64 = 0.5;
 /// Steepness of both sides of a kink, and of a slope to a cell of a body that counts.
 const STEEP: f64 = 0.1;
 
-/// The redistanced level, cells. `separated`: bounds from [`separated_level`](super::separated_level); empty for none.
+/// The redistanced level, cells. `separated`: from [`separation_bounds`](super::separation_bounds); empty for none.
 pub fn redistance(cells: LevelCells, separated: &[f64], level: &[f64]) -> Vec<f64> {
     let leaves_wall = |cell: usize| level[cell] < 0.0 && separated.get(cell).is_some_and(|bound| bound.is_finite());
     let distance = distance(cells, leaves_wall, level);

@@ -23,6 +23,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::air_at_bodies::air_at_bodies;
 use super::level_cells::LevelCells;
 use crate::grid::Axis;
 
@@ -35,13 +36,7 @@ const ALONG_WALL: f64 = 0.02;
 
 /// Bounds of the level (cells) from below after dt (s) in the velocity of the faces (m/s); minus infinity where no liquid leaves a wall.
 /// `separated`: the cells of the last sub-step; empty for none.
-pub fn separated_level(
-    cells: LevelCells,
-    faces: &[Vec<f64>; 3],
-    separated: &[bool],
-    level: &[f64],
-    dt: f64,
-) -> Vec<f64> {
+fn separated_level(cells: LevelCells, faces: &[Vec<f64>; 3], separated: &[bool], level: &[f64], dt: f64) -> Vec<f64> {
     let LevelCells { grid, cut } = cells;
     if separated.is_empty() {
         return vec![f64::NEG_INFINITY; level.len()];
@@ -90,7 +85,23 @@ fn body_normal(cells: LevelCells, x: DVec3) -> DVec3 {
     DVec3::from([0, 1, 2].map(slope)).normalize_or_zero()
 }
 
-/// The level (cells), raised to the bounds of [`separated_level`].
+/// Bounds of the level (cells) at walls and bodies after dt (s) in the velocity of the faces (m/s), minus infinity elsewhere: those of `separated`
+/// cells and, if all bodies are at rest (`still_bodies`), of [`air_at_bodies`].
+pub fn separation_bounds(
+    cells: LevelCells,
+    faces: &[Vec<f64>; 3],
+    separated: &[bool],
+    level: &[f64],
+    (dt, still_bodies): (f64, bool),
+) -> Vec<f64> {
+    let mut bounds = separated_level(cells, faces, separated, level, dt);
+    if still_bodies {
+        air_at_bodies(cells, faces, level, dt, &mut bounds);
+    }
+    bounds
+}
+
+/// The level (cells), raised to [`separation_bounds`].
 pub fn raise_separated(bounds: &[f64], level: &mut [f64]) {
     level.iter_mut().zip(bounds).for_each(|(phi, bound)| *phi = phi.max(*bound));
 }

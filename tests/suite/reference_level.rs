@@ -251,8 +251,8 @@ fn redistance_leaves_no_surface_in_a_body_that_liquid_has_met() {
     close(after[at(6, 6)], 0.3, 0.05);
 }
 
-/// Plates of 2.4 and 1.6 cells with water on them, thicker and thinner than the way of the liquid. With the velocity of liquid that leaves the plate downwards, the level of the water would
-/// appear below. A film at the underside leaves it.
+/// Plates of 2.4 and 1.6 cells with water on them; the liquid moves by 2.8. With the velocity of liquid that leaves the plate downwards, the level
+/// of the water would appear below. A film at the underside leaves it.
 #[test]
 fn liquid_does_not_leave_through_a_plate() {
     let grid = grid([4, 20, 4]);

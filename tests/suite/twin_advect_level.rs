@@ -125,11 +125,8 @@ fn liquid_leaves_walls_as_in_the_twin() {
         let before = buffers.padded.unpad(grid.cells, &distance, |phi| f64::from(phi) / grid.dx);
         let cells = LevelCells { grid: &grid, cut: &case.cut };
         let twin = |faces: &_, level: &[f64]| {
-            let mut bounds = reference::separated_level(cells, faces, &case.state.separated, level, dt);
-            if case.effects.leaves_still_bodies() {
-                reference::air_at_bodies(cells, faces, level, dt, &mut bounds);
-            }
-            bounds
+            let bodies = (dt, case.effects.leaves_still_bodies());
+            reference::separation_bounds(cells, faces, &case.state.separated, level, bodies)
         };
         let by = 16.0 * EPS * case.speed();
         let mut moved = || {
@@ -140,8 +137,8 @@ fn liquid_leaves_walls_as_in_the_twin() {
         let twin = twin(&case.state.velocity, &before);
         // The motion is a mean of two velocities times two factors, 6 roundings. Normals are differences of distances, off by two roundings
         // of up to 3 cells over at least a tenth of a cell. The level is sampled along them: a slope of up to 10 cells per cell, and 20
-        // roundings of up to 5 cells. Twice that and a product make the gap of up to 6 cells. The end of a path in air is off by the roundings of two
-        // samples of up to 3 cells, over a difference of at least a tenth of a cell where the path is not along the body.
+        // roundings of up to 5 cells. Twice that and a product make the gap of up to 6 cells. The end of a path in air is off by the roundings of
+        // two samples of up to 3 cells, over a difference of at least a tenth of a cell where the path is not along the body.
         let motion = case.speed() * dt / grid.dx;
         let normal = 60.0 * EPS;
         let bound = (12.0 * EPS + normal) * motion + 12.0 * (100.0 * EPS + 10.0 * normal);

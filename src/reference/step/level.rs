@@ -6,11 +6,11 @@ use crate::reference::level_cells::in_cells;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide, add_excess, add_sources,
-    advect_level, advect_level_markers, air_at_bodies, balance, bound_level, cap_targets, closed_to_markers,
-    component_origins, emit_markers, empty_level_sinks, excess, extend_level, fill_sources, filter_level,
-    hold_source_origins, interpolant_part, land, largest_shift, limit_targets, liquid_components, marker_band,
-    move_spray_volume, occupancy, open_volumes, outflow, raise_separated, redistance, remove_volumes, renewed_volume,
-    separated_level, shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
+    advect_level, advect_level_markers, balance, bound_level, cap_targets, closed_to_markers, component_origins,
+    emit_markers, empty_level_sinks, excess, extend_level, fill_sources, filter_level, hold_source_origins,
+    interpolant_part, land, largest_shift, limit_targets, liquid_components, marker_band, move_spray_volume, occupancy,
+    open_volumes, outflow, raise_separated, redistance, remove_volumes, renewed_volume, separation_bounds,
+    shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -141,10 +141,8 @@ impl SubStep<'_> {
         let dt = self.time_step.dt;
         let mut carried = advect_level(grid, open, &before.velocity, &ballistic, &level, dt);
         let open_volumes = self.open_volumes();
-        let mut bounds = separated_level(self.cells(), &before.velocity, &before.separated, &level, dt);
-        if model.effects.leaves_still_bodies() {
-            air_at_bodies(self.cells(), &before.velocity, &level, dt, &mut bounds);
-        }
+        let bodies = (dt, model.effects.leaves_still_bodies());
+        let bounds = separation_bounds(self.cells(), &before.velocity, &before.separated, &level, bodies);
         let results = &mut self.results.level;
         results.separation_bounds = bounds;
         results.first_fill = fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);

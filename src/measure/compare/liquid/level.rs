@@ -131,12 +131,8 @@ impl LiquidComparison<'_> {
         let motion = self.dt() * reference::max_speed(velocity) / self.grid.dx;
         let bound = EPS * (PASS * REACH + 16.0 * self.extent() * motion);
         let separated = |velocity: &_, level: &[f64]| {
-            let (before, dt) = (&self.before.separated, self.dt());
-            let mut bounds = reference::separated_level(self.level_cells(), velocity, before, level, dt);
-            if self.effects().leaves_still_bodies() {
-                reference::air_at_bodies(self.level_cells(), velocity, level, dt, &mut bounds);
-            }
-            finite(&bounds)
+            let bodies = (self.dt(), self.effects().leaves_still_bodies());
+            finite(&reference::separation_bounds(self.level_cells(), velocity, &self.before.separated, level, bodies))
         };
         let mut twins = self.twins(level, EPS * REACH, |level| separated(velocity, level));
         let by = 16.0 * EPS * reference::max_speed(velocity);
@@ -277,8 +273,8 @@ impl LiquidComparison<'_> {
         self.band_cells(["phi", "cells"], after, &now.level, &twins, PASS * EPS * REACH);
     }
 
-    /// Each pass adds the roundings of a root of sums of squares. Ties of two paths are
-    /// covered by twins whose whole level moves outwards or inwards.
+    /// Each pass adds the roundings of a root of sums of squares. Ties of two paths are covered by twins whose whole level
+    /// moves outwards or inwards.
     pub(super) fn redistance(&mut self, Change { after, before, now }: Change) {
         let level = self.with_air(after, &before.level);
         let bound = PASSES * PASS * EPS * REACH;
