@@ -82,6 +82,39 @@ fn beside_air(cell: vec3<i32>) -> bool {
     return airy(cell);
 }
 
+// Whether a face of a cell lies on an open side of the domain.
+fn at_open_side(cell: vec3<i32>) -> bool {
+    for (var axis = 0u; axis < 3u; axis++) {
+        let first = cell[axis] == 0 && opens(cell, axis, -1);
+        let last = cell[axis] + 1 == i32(level.cells[axis]) && opens(cell, axis, 1);
+        if first || last {
+            return true;
+        }
+    }
+    return false;
+}
+
+// Lanes that may be beside air: among the neighbours of the others no cell has any, open faces or not. `cell`: the first lane.
+fn lanes_near_air(quad: u32, cell: vec3<i32>) -> u32 {
+    // Bit l + 1: cells with air whose x is that of lane l.
+    var air = 0u;
+    for (var row = 0; row < 9; row++) {
+        let d = vec3<i32>(0, row % 3 - 1, row / 3 - 1);
+        if !inside(cell + d) {
+            continue;
+        }
+        let at = cell_index(level, vec3<u32>(cell + d)) / 4u;
+        air |= (~flags[at] & 15u | separated_before[at] & 15u) << 1u;
+        if cell.x > 0 {
+            air |= (~flags[at - 1u] | separated_before[at - 1u]) >> 3u & 1u;
+        }
+        if cell.x + 4 < i32(level.cells.x) {
+            air |= ((~flags[at + 1u] | separated_before[at + 1u]) & 1u) << 5u;
+        }
+    }
+    return air | air >> 1u | air >> 2u;
+}
+
 @compute @workgroup_size(WG_SIZE)
 fn separation_start(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
@@ -93,8 +126,10 @@ fn separation_start(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_
     var candidates = flag & (flag >> HELD) & ~(flag >> SURFACELESS) & 15u;
     if settings.from_air != 0u && candidates != 0u {
         let cell = quad_cell(level, quad);
+        let near = lanes_near_air(quad, cell);
         for (var l = 0u; l < 4u; l++) {
-            if (candidates >> l & 1u) == 1u && !beside_air(cell + vec3<i32>(i32(l), 0, 0)) {
+            let at = cell + vec3<i32>(i32(l), 0, 0);
+            if (candidates >> l & 1u) == 1u && !(((near >> l & 1u) == 1u || at_open_side(at)) && beside_air(at)) {
                 candidates &= ~(1u << l);
             }
         }

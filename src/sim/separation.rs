@@ -63,8 +63,8 @@ impl Rounds<'_> {
         self.stage.record_start(to, liquid, solver);
     }
 
-    /// Repeats a solve until the set is unchanged. A round waits as often as a solve, and starts from the solution of the last one. Rounds
-    /// are rough while the set changes; the first one is not where no cell is separated, since mostly none will be.
+    /// Repeats a solve until the set is unchanged. A round waits as often as a solve, and starts from the solution of the last one. Where no
+    /// cell is separated before, mostly none will be, and no round is rough.
     /// `solve` gets work for the end of each of its submissions, and returns whether that work has read the solution.
     ///
     /// The recording that is returned restores the system of all active cells.
@@ -120,7 +120,7 @@ impl Rounds<'_> {
             }
             self.report.returned += sums.returned as usize;
             masks |= changed;
-            rough = changed;
+            rough &= changed;
         }
         unreachable!("the last round returns")
     }

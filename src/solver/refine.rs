@@ -87,30 +87,42 @@ pub(super) struct Pace {
     pub(super) steps: usize,
 }
 
-/// Iterations and refinement steps of the latest solves.
+/// A solve of the past.
+#[derive(Clone, Copy, Debug)]
+struct Past {
+    aim: Aim,
+    iterations: usize,
+    steps: usize,
+}
+
+/// The latest solves.
 #[derive(Debug, Default)]
-struct Latest(Mutex<VecDeque<(usize, usize)>>);
+struct Latest(Mutex<VecDeque<Past>>);
 
 impl Latest {
-    /// Number of solves: rounds and active sets of a sub-step alternate.
+    /// Number of solves with the same aim that count: active sets of a sub-step alternate.
     const N: usize = 8;
+    /// Number of solves kept: rounds of separation have up to four aims.
+    const KEPT: usize = 4 * Latest::N;
     /// Iterations of a refinement step in excess of the mean: the first takes more than the others.
     const SPARE: usize = 2;
 
     /// Adds a solve, with the refinement steps that were recorded for it where the first recording did not suffice.
-    fn push(&self, solved: &Outcome, recorded: Option<usize>) {
+    fn push(&self, aim: Aim, solved: &Outcome, recorded: Option<usize>) {
+        let steps = recorded.unwrap_or(solved.refinements as usize);
         let mut list = lock(&self.0);
-        list.truncate(Self::N - 1);
-        list.push_front((solved.iterations as usize, recorded.unwrap_or(solved.refinements as usize)));
+        list.truncate(Latest::KEPT - 1);
+        list.push_front(Past { aim, iterations: solved.iterations as usize, steps: steps.max(1) });
     }
 
-    /// Pace that the latest solves would have needed; that of the first one without any.
-    fn pace(&self, first: Pace) -> Pace {
+    /// Pace that the latest solves with an aim would have needed; that of the first one without any.
+    fn pace(&self, aim: Aim, first: Pace) -> Pace {
         let list = lock(&self.0);
-        let mean = list.iter().map(|&(iterations, steps)| iterations.div_ceil(steps.max(1))).max();
-        let steps = list.iter().map(|&(_, steps)| steps.max(1)).max();
+        let same = || list.iter().filter(|past| past.aim == aim).take(Latest::N);
+        let mean = same().map(|past| past.iterations.div_ceil(past.steps)).max();
+        let steps = same().map(|past| past.steps).max();
         Pace {
-            iterations: mean.map_or(first.iterations, |mean| first.iterations.min(mean + Self::SPARE)),
+            iterations: mean.map_or(first.iterations, |mean| first.iterations.min(mean + Latest::SPARE)),
             steps: steps.map_or(first.steps, |steps| first.steps.min(steps)),
             ..first
         }
@@ -215,7 +227,7 @@ pub(super) struct HostResidual {
 }
 
 /// Accuracy and start of a solve.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Aim {
     /// Bound of |r| relative to the right-hand side.
     pub(crate) tolerance: f64,
@@ -375,13 +387,13 @@ impl<S: System> OuterLoop<S> {
         self.system.record_begin(pass, &self.state, pcg, case);
     }
 
-    fn record_iterations(&self, pass: &mut Pass, case: S::Case<'_>) {
+    fn record_iterations(&self, pass: &mut Pass, aim: Aim, case: S::Case<'_>) {
         let pcg = self.system.pcg(&self.pcg, case);
-        pcg.record(pass, &self.state, &self.system, case, self.pace(case));
+        pcg.record(pass, &self.state, &self.system, case, self.pace(aim, case));
     }
 
-    fn pace(&self, case: S::Case<'_>) -> Pace {
-        self.latest.pace(self.system.pace(case))
+    fn pace(&self, aim: Aim, case: S::Case<'_>) -> Pace {
+        self.latest.pace(aim, self.system.pace(case))
     }
 
     /// Submits the recording with the solve at its end and waits for the outcome of each block, with residuals in f64: of the host where
@@ -434,10 +446,10 @@ impl<S: System> OuterLoop<S> {
         });
         if self.on_host {
             let outcomes = self.solve_on_host(gpu, recorder, case, aim, times)?;
-            self.latest.push(&outcomes[0], None);
+            self.latest.push(aim, &outcomes[0], None);
             return Ok(outcomes);
         }
-        let steps = self.pace(case).steps;
+        let steps = self.pace(aim, case).steps;
         let mut recordings = 0;
         loop {
             recordings += 1;
@@ -446,7 +458,7 @@ impl<S: System> OuterLoop<S> {
                     recorder.stage(Stage::Solve.name(), |pass| {
                         self.record_evaluation(pass);
                         self.record_begin(pass, case);
-                        self.record_iterations(pass, case);
+                        self.record_iterations(pass, aim, case);
                     });
                 }
                 recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
@@ -468,12 +480,12 @@ impl<S: System> OuterLoop<S> {
                     recorder.submit();
                 }
                 let outcomes = self.verified(gpu, case, status, reading)?;
-                self.latest.push(&outcomes[0], (monolithic && recordings > 1).then_some(recordings * steps));
+                self.latest.push(aim, &outcomes[0], (monolithic && recordings > 1).then_some(recordings * steps));
                 return Ok(outcomes);
             }
             recorder = match form {
                 Form::Monolithic => Recorder::timed(gpu),
-                Form::Schur(elimination) => self.refine_schur(gpu, case, elimination, reading, times)?,
+                Form::Schur(elimination) => self.refine_schur(gpu, (case, aim), elimination, reading, times)?,
                 Form::Singular => return self.verified(gpu, case, SolveStatus::Breakdown, reading),
             };
         }
@@ -483,7 +495,7 @@ impl<S: System> OuterLoop<S> {
     fn refine_schur(
         &self,
         gpu: &Gpu,
-        case: S::Case<'_>,
+        (case, aim): (S::Case<'_>, Aim),
         elimination: Elimination,
         reading: Reading,
         times: &mut StageTimes,
@@ -492,7 +504,7 @@ impl<S: System> OuterLoop<S> {
         if reading.control.running == 1 {
             let size = reading.norms[SCALE];
             elimination.eliminate(gpu, &reading.nodes, size, 1.0);
-            let force = self.iterate(gpu, case, Some(elimination), times)?.nodes;
+            let force = self.iterate(gpu, (case, aim), Some(elimination), times)?.nodes;
             let forces = plus(&reading.nodes, size, &force);
             let mut search = vec![0.0; forces.len()];
             search.extend(elimination.correct(gpu, &forces, size, 1.0).0);
@@ -703,7 +715,7 @@ impl<S: System> OuterLoop<S> {
             }
             reading.control.refinements += 1;
             self.open(gpu, &mut reading, &args, goal);
-            reading.control = self.iterate(gpu, case, None, times)?.control;
+            reading.control = self.iterate(gpu, (case, aim), None, times)?.control;
             let correction = self.correction(gpu, case, &mut system, (&scaled, 1.0 / size))?;
             let better = x.iter().zip(&correction).map(|(x, dx)| plus(x, size, dx));
             let better: Vec<Vec<f64>> = better.collect();
@@ -752,7 +764,7 @@ impl<S: System> OuterLoop<S> {
     fn iterate(
         &self,
         gpu: &Gpu,
-        case: S::Case<'_>,
+        (case, aim): (S::Case<'_>, Aim),
         elimination: Option<Elimination>,
         times: &mut StageTimes,
     ) -> Result<Reading, Error> {
@@ -760,7 +772,7 @@ impl<S: System> OuterLoop<S> {
         recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
         loop {
             recorder.stage(Stage::Solve.name(), |pass| {
-                self.record_iterations(pass, case);
+                self.record_iterations(pass, aim, case);
                 elimination.iter().for_each(|elimination| elimination.record_force(pass));
             });
             let force = elimination.map(|elimination| (elimination.force, elimination.readback));

@@ -1,7 +1,7 @@
 //! Separation, a part of `solve`: the set of cells that leave walls and bodies (`reference/separation.rs` has the theory).
 //!
-//! A round solves with the separated cells as air whose surface lies at their centres, then updates the set. While the set changes,
-//! solves are rough; a set that a rough solve leaves unchanged is solved for to the tolerance, and updated again. The system of a round
+//! A round solves with the separated cells as air whose surface lies at their centres, then updates the set. The first rounds are rough
+//! where cells separated in the last sub-step, since that set changes a lot; the last round never is. The system of a round
 //! is that of `active_cells` for the liquid distance with 0 in separated cells; rounds without any use the system at hand.
 
 use crate::Error;
@@ -19,6 +19,8 @@ pub const MAX_ROUNDS: u32 = 12;
 const LOCK_ROUND: u32 = 6;
 /// Relative tolerance of a rough solve: its set is mostly the final one.
 const ROUGH: f64 = 1e-2;
+/// Number of rounds that may be rough. From then on the potential is a good guess, and a solve to the tolerance costs little more.
+const ROUGH_ROUNDS: u32 = 2;
 
 /// Settings of the stage.
 #[repr(C)]
@@ -203,10 +205,10 @@ impl Separation {
     }
 
     /// Sets the number of the next round, from 1, before all work submitted later. Returns the relative tolerance of its solve, rough
-    /// or `full`. Rounds that lock cells are never rough.
+    /// or `full`.
     pub fn write_round(&self, gpu: &Gpu, (number, full): (u32, f64), rough: bool) -> f64 {
         let locks = number >= LOCK_ROUND;
-        let tolerance = match rough && !locks {
+        let tolerance = match rough && number <= ROUGH_ROUNDS {
             true => ROUGH.max(full),
             false => full,
         };
