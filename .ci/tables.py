@@ -68,7 +68,7 @@ def span(values):
 def caption(path):
     """Date, version, adapter, threads and load from the JSON file of the bench; None without one."""
     words = path.stem.split("_")
-    # thesis_means.csv belongs to thesis.json.
+    # solve_growth.csv belongs to solve.json.
     names = ["_".join(words[:n]) + ".json" for n in range(len(words), 0, -1)]
     found = [path.with_name(name) for name in names if path.with_name(name).exists()]
     if not found:

@@ -6,7 +6,6 @@ pub mod bounds;
 pub mod compare;
 pub mod converge;
 pub mod export;
-pub mod plane_strain;
 pub mod probe_statistics;
 mod stored;
 pub mod sweep;

@@ -128,7 +128,7 @@ impl Inverse<'_> {
             return Err(Error::input(
                 format!("condition of a coupled system of {n} unknowns"),
                 format!("inverse iteration cannot solve with it: {report:?}"),
-                "leave out this grid or table 6.2",
+                "use a coarser grid",
             ));
         }
         let mut v = vec![0.0; w.len()];

@@ -105,10 +105,9 @@ fn found(browser: &str, page: &Path, width: u32) -> Value {
 }
 
 /// Commands that fill a folder each, all on the smallest there is to measure.
-const COMMANDS: [(&str, &str); 8] = [
+const COMMANDS: [(&str, &str); 7] = [
     ("run", "run dam.toml --backend cpu --frames 3 --preview"),
     ("plots", "plot results/run"),
-    ("thesis", "bench thesis --tables 6.5 --grids 5,10 --repeats 1"),
     ("solve", "bench solve --formulation pressure --grids 8,10 --repeats 1"),
     ("effects", "bench effects dam.toml --frames 1"),
     (

@@ -1,5 +1,6 @@
 //! All integration tests, in one binary so that the dependencies are linked once.
 
+mod added_mass;
 mod band;
 mod bench;
 mod bench_accuracy;
@@ -8,7 +9,6 @@ mod bench_effects;
 mod bench_solve;
 mod bench_stability;
 mod bench_step;
-mod bench_thesis;
 mod browser;
 mod cavities;
 mod checkpoint;
@@ -50,6 +50,7 @@ mod pages;
 mod physics;
 mod placing;
 mod plan;
+mod plane_strain;
 mod plot;
 mod probes;
 mod pushing;

@@ -685,3 +685,29 @@ fn effects_of_solids_say_why_they_are_there() {
         .replace("force = [0, -1, 0]\n", "");
     assert_eq!(effects(&scripted), Effects { scripts: true, loads: false, ..whole });
 }
+
+/// Cells, nodes and elements of the thesis's scenes (table 6.1). Meshes of bricks are the thesis's; ball, shell and toy have as many nodes and elements
+/// within a quarter.
+#[test]
+fn scenes_of_the_thesis_have_its_grids_and_meshes() {
+    for (name, cells, printed) in [
+        ("dam_break", 100, [725, 2688]),
+        ("buoyancy_light", 100, [481, 2000]),
+        ("compressibility", 100, [343, 1296]),
+        ("sloped_panel", 100, [882, 2400]),
+        ("platform", 64, [2450, 6936]),
+        ("fluid_in_sphere", 100, [992, 2948]),
+        ("light_dino", 100, [1424, 5920]),
+    ] {
+        let plan = Plan::new(&scene(name, 1.0, &[]), None).unwrap();
+        assert_eq!(plan.grid.cells, [cells; 3], "{name}");
+        let sizes = [plan.n_nodes, plan.n_elements];
+        let unlike = match name {
+            "buoyancy_light" | "fluid_in_sphere" | "light_dino" => 0.25,
+            _ => 0.0,
+        };
+        let alike =
+            sizes.iter().zip(printed).all(|(&size, printed)| (size as f64 / f64::from(printed) - 1.0).abs() <= unlike);
+        assert!(alike, "{name}: {sizes:?} where {printed:?} are printed");
+    }
+}

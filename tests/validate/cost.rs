@@ -49,6 +49,7 @@ const CLASSES: &[(Class, &str)] = &[
     (Quick, "A6|B1|plate|L1/f64"),
     (Quick, "limit"),
     (Default, "A1|A2|A5|A6|B1|W1|plate|L1/*"),
+    (Default, "T6.2"),
     (Quick, "T6.5/f64"),
     (Default, "T6.6/f64"),
     // The solve on 80 cells takes a software driver minutes.

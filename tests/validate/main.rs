@@ -15,6 +15,9 @@
 
 // Shared with the suite.
 #[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/added_mass.rs"]
+mod added_mass;
+#[allow(dead_code, reason = "the suite uses the rest")]
 #[path = "../suite/common.rs"]
 mod common;
 #[allow(dead_code, reason = "the suite uses the rest")]
@@ -22,6 +25,9 @@ mod common;
 mod drops;
 #[path = "../suite/kills.rs"]
 mod kills;
+#[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/plane_strain.rs"]
+mod plane_strain;
 #[allow(dead_code, reason = "the suite uses the rest")]
 #[path = "../suite/solid_cases.rs"]
 mod solid_cases;
@@ -32,7 +38,6 @@ mod solid_modes;
 #[path = "../suite/solid_scene.rs"]
 mod solid_scene;
 
-mod benches;
 mod cost;
 mod coupled;
 mod coupled_scenes;
@@ -53,7 +58,9 @@ mod solid_inversion;
 mod solid_motion;
 mod solid_scenes;
 mod solid_statics;
+mod thesis_tables;
 mod waves;
+mod weak_coupling;
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -117,7 +124,8 @@ fn cases() -> Vec<Case> {
         ("coupled solve", coupled::cases()),
         ("liquid and solids", coupled_truths::cases()),
         ("liquid and solids", lamb::cases()),
-        ("liquid and solids", benches::cases()),
+        ("liquid and solids", weak_coupling::cases()),
+        ("liquid and solids", thesis_tables::cases()),
         ("thesis", coupled_scenes::cases()),
         ("thesis, two frames", coupled_scenes::frames()),
         ("solids", solid_elements::cases()),

@@ -7,14 +7,14 @@ use std::path::PathBuf;
 
 use crate::Error;
 use crate::gpu::Gpu;
-use crate::measure::bench::{Event, Listener, Results, Settings, accuracy, device, effects, stability, thesis};
+use crate::measure::bench::{Event, Listener, Results, Settings, accuracy, device, effects, stability};
 use crate::scene::{Precision, Preconditioner, Scene};
 use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, Subcommand};
 
 use super::{AdapterArgs, BackendArgs, Overrides, SMALLER_SCENE, without_backend};
 
-/// Measure the solves, the whole step, or the adapter; or the thesis's tables
+/// Measure the solves, the whole step, or the adapter
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
@@ -34,14 +34,10 @@ enum Name {
     Effects(Effects),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg
     Step(step::Step),
-    /// Hostile scenes, the thesis's section 6.3, the limit of weak coupling: stability.csv, stability_limit.csv, stability.json,
-    /// stability.svg
+    /// Hostile scenes and the thesis's section 6.3: stability.csv, stability.json, stability.svg
     Stability(Stability),
     /// Rates and latencies of the adapter - bandwidth, arithmetic, launches, waits: device.csv, device.json
     Device(Device),
-    /// Tables 6.1 to 6.6 of the thesis, printed numbers beside measured ones: thesis_scenes.csv, thesis_systems.csv, thesis_means.csv,
-    /// thesis_growth.csv, thesis.csv, thesis_orders.csv, thesis.json, thesis.svg
-    Thesis(Thesis),
 }
 
 /// Options of all benches.
@@ -117,7 +113,6 @@ impl Bench {
             // The one that has --backend.
             Name::Stability(stability) => return stability.run(),
             Name::Device(device) => (device.run(), "a device with free memory"),
-            Name::Thesis(thesis) => (thesis.run(), "smaller grids (--grids) and scenes (--scale)"),
         };
         done.map_err(|error| without_backend(error, smaller))
     }
@@ -305,54 +300,5 @@ impl Accuracy {
         };
         let (repeats, measure) = (Some(&self.repeats), accuracy::measure);
         self.output.run("accuracy", repeats, &options, measure)
-    }
-}
-
-#[derive(Debug, Args)]
-struct Thesis {
-    /// Tables of the thesis
-    #[arg(long, value_parser = ["6.1", "6.2", "6.3", "6.4", "6.5", "6.6"], value_delimiter = ',', value_name = "T,..", default_value = "6.1,6.2,6.3,6.4,6.5,6.6")]
-    tables: Vec<String>,
-    /// Cells along an edge of the dam break of tables 6.2 to 6.4, or along the tank's height of 1 m of tables 6.5 and 6.6, multiples of
-    /// 5 [default: 40,60 for table 6.2, 50,60 for 6.3 and 6.4, 5,10,20,40,80 for 6.5 and 6.6]
-    #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
-    grids: Vec<usize>,
-    /// Folder of the scenes of table 6.1
-    #[arg(long, default_value = "scenes")]
-    scenes: PathBuf,
-    /// Multiply domain.cells of the scenes of table 6.1, rounded
-    #[arg(long, default_value_t = 1.0)]
-    scale: f64,
-    /// Sub-steps of the scenes of table 6.1 that are timed, from their start
-    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
-    steps: usize,
-    /// Frames of the dam break, 24 a second, whose states are solved from in tables 6.2 to 6.4
-    #[arg(long, value_delimiter = ',', value_name = "N,N,..", default_value = "10,40,80")]
-    frames: Vec<u64>,
-    /// Precisions of the device, beside the f64 path
-    #[arg(long, value_parser = named(Precision::NAMES), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
-    precision: Vec<Precision>,
-    #[command(flatten)]
-    repeats: Repeats,
-    #[command(flatten)]
-    output: Output,
-    #[command(flatten)]
-    adapter: AdapterArgs,
-}
-
-impl Thesis {
-    fn run(&self) -> Result<(), Error> {
-        let options = thesis::Options {
-            tables: self.tables.clone(),
-            grids: self.grids.clone(),
-            scenes: self.scenes.clone(),
-            scale: self.scale,
-            steps: self.steps,
-            frames: self.frames.clone(),
-            precisions: self.precision.clone(),
-            adapter: self.adapter.choice(),
-        };
-        let (repeats, measure) = (Some(&self.repeats), thesis::measure);
-        self.output.run("thesis", repeats, &options, measure)
     }
 }

@@ -76,7 +76,7 @@ columns! {
         - unknowns, solid_unknowns "" "of the pressure, and of the solids";
     }
     PROBLEM {
-        + problem "" "`elastic_block`, `pool_at_rest` or `dam_release`";
+        + problem "" "`pool_at_rest` or `dam_release`";
         + grid "" "cells along 1 m";
     }
     TARGET { + target "" "bound of the errors"; }
@@ -104,7 +104,7 @@ columns! {
     GRID_ERRORS {
         + error_p "" "largest error of p over the largest p";
         + grid_error_p "" "the same on the f64 path to 1e-13: error of the grid alone";
-        + error_u "" "largest speed of liquid and nodes at rest over g dt";
+        + error_u "" "largest speed of the liquid at rest over g dt";
         - grid_error_u "" "the same on the f64 path";
     }
 }

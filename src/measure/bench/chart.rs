@@ -25,7 +25,7 @@ pub(crate) enum Page {
 pub(crate) struct Chart {
     pub(crate) title: String,
     pub(crate) axes: [&'static str; 2],
-    /// Names and points; names of the thesis's numbers begin with `printed`.
+    /// Names and points.
     pub(crate) lines: Vec<(String, Vec<[Spread; 2]>)>,
     /// Whether the lines fall: the key is then below them.
     pub(crate) falling: bool,
@@ -121,10 +121,9 @@ impl Chart {
             .y_label_formatter(&|y| format!("{y:.0e}"))
             .draw()?;
         for (index, (name, points)) in self.lines.iter().enumerate() {
-            let printed = name.starts_with("printed");
-            let colour = if printed { BLACK.mix(0.5) } else { ink(index) };
+            let colour = ink(index);
             let line = points.iter().map(|[x, y]| (x.median, y.median));
-            let line = LineSeries::new(line, colour.stroke_width(if printed { 1 } else { 2 }));
+            let line = LineSeries::new(line, colour.stroke_width(2));
             chart
                 .draw_series(line.point_size(3))?
                 .label(name)

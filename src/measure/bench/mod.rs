@@ -18,7 +18,6 @@ pub mod statistics;
 pub mod step;
 mod sub_step;
 pub mod table;
-pub mod thesis;
 
 use std::fmt::Debug;
 use std::fs;

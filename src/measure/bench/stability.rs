@@ -1,5 +1,4 @@
-//! `bench stability`: hostile scenes in strong coupling, the variants of the thesis's section 6.3, and the added-mass limit of weak coupling in
-//! one dimension.
+//! `bench stability`: hostile scenes in strong coupling, and the variants of the thesis's section 6.3.
 //!
 //! The energy of a run, J, is kinetic, elastic and potential, by the diagnostics of each sub-step. Potential energy counts from the lowest corner of
 //! the domain. Backward Euler and the projection only dissipate. The advection adds g v dt / 2 per kg (`budget`).
@@ -9,7 +8,6 @@
 
 mod budget;
 mod cases;
-mod limit;
 
 use std::fs;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,7 +19,7 @@ use glam::DVec3;
 
 use super::chart::{Bars, Page};
 use super::table::{Row, Table, columns, row};
-use super::{Bench, Case as BenchCase, Listener, Machine, Results, Run, Settings};
+use super::{Bench, Listener, Machine, Results, Run, Settings};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::Gpu;
@@ -30,11 +28,8 @@ use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::state::{Exchange, SolidDiagnosis, SolveStatus, State, StepReport};
 
-use limit::LIMIT;
-
 pub use budget::{Budget, MOST_ENERGY, Moment};
 pub use cases::{Case, Expected, cases};
-pub use limit::{Limit, limits};
 
 /// Share of the liquid that a run may lose.
 const MOST_LOST: f64 = 0.1;
@@ -132,22 +127,17 @@ columns! {
     }
 }
 
-/// Runs all selected cases: stability.csv, stability_limit.csv, stability.json, stability.svg, and scenes/NAME.toml for `cutwater run`. Failed
+/// Runs all selected cases: stability.csv, stability.json, stability.svg, and scenes/NAME.toml for `cutwater run`. Failed
 /// cases are rows like others and failures of the results.
 ///
 /// # Errors
 /// [`Error::Input`] for a part that no name contains; [`Error::Adapter`]; [`Error::Output`].
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let mut cases = cases(options.steps, options.scale)?;
-    let limits = limits();
-    let names = limits.iter().map(Limit::name).chain(cases.iter().map(|case| case.name.clone()));
-    options.check(&names.collect::<Vec<_>>())?;
+    options.check(&cases.iter().map(|case| case.name.clone()).collect::<Vec<_>>())?;
     let bench = Bench {
         name: "stability",
-        tables: vec![
-            Table::new("stability", &[STABILITY], &["name"]),
-            Table::new("stability_limit", &[LIMIT], &["name"]),
-        ],
+        tables: vec![Table::new("stability", &[STABILITY], &["name"])],
         derive: sort,
         pictures: &[("stability", draw)],
     };
@@ -159,15 +149,6 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
     let mut run = Run::start(bench, machine, &request, settings, listener)?;
     let scenes = settings.out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::unwritten(&scenes, &problem))?;
-    let table = "stability_limit";
-    let limits = limits.iter().filter(|limit| options.selects(&limit.name())).map(|limit| {
-        BenchCase::new(table, row! { name: limit.name() }, |_| Ok(vec![(table, limit.run(&options.backend)?)]))
-    });
-    run.cases(limits.collect())?;
-    let pairs = limit::step_lengths(run.results.rows(table));
-    if !pairs.is_empty() {
-        run.put(pairs.into_iter().map(|row| (table, row)).collect())?;
-    }
     cases.retain(|case| options.selects(&case.name));
     cases.iter().try_for_each(|case| case.write(&scenes))?;
     let known = cases.clone();
@@ -185,21 +166,16 @@ pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Re
 
 /// A line per failed case.
 fn failures(results: &Results, cases: &[Case]) -> Vec<String> {
-    let failed = |name| results.rows(name).iter().filter(|row| !row.flag("passed"));
-    let hostile = failed("stability").map(|row| {
+    let rows = results.rows("stability");
+    let failed = rows.iter().filter(|row| !row.flag("passed")).map(|row| {
         let [name, status, expected] = ["name", "status", "expected"].map(|name| row.text(name));
         let cause = cases.iter().find(|case| case.name == name).and_then(|case| case.known_failure.as_ref());
         let known = cause.map_or(String::new(), |cause| format!(" (known: {cause})"));
         format!("{name}: {status} where it {expected}{known}")
     });
-    let limits = failed("stability_limit").map(|row| {
-        let [got, expected] = ["got", "expected"].map(|name| row.number(name));
-        format!("{}: a growth of {got} for {expected}", row.text("name"))
-    });
-    let mut failures: Vec<String> = hostile.chain(limits).collect();
+    let mut failures: Vec<String> = failed.collect();
     if !failures.is_empty() {
-        let all: usize = results.tables.iter().map(|table| table.rows.len()).sum();
-        failures.insert(0, format!("{} of {all} cases", failures.len()));
+        failures.insert(0, format!("{} of {} cases", failures.len(), rows.len()));
     }
     failures
 }

@@ -30,16 +30,6 @@ impl Spread {
         Spread::of(vec![value])
     }
 
-    /// Spread of the values times a factor above 0.
-    pub fn times(self, factor: f64) -> Spread {
-        Spread { median: factor * self.median, min: factor * self.min, max: factor * self.max }
-    }
-
-    /// Sum with another spread.
-    pub fn plus(self, other: Spread) -> Spread {
-        Spread { median: self.median + other.median, min: self.min + other.min, max: self.max + other.max }
-    }
-
     /// First quartile, median and third, interpolated as `numpy.quantile` does.
     ///
     /// # Panics

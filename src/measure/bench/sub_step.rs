@@ -2,17 +2,13 @@
 
 use std::time::Instant;
 
-use glam::DVec3;
-
 use super::ended::Ended;
 use super::statistics::Spread;
 use super::table::{Row, row};
 use crate::Error;
-use crate::gpu::AdapterChoice;
 use crate::grid::Axis;
 use crate::measure::stored;
-use crate::reference::{Reference, larger};
-use crate::scene::{Precision, Scene, Solver};
+use crate::reference::Reference;
 use crate::sim::{GpuPath, Snapshot};
 use crate::state::{SolveReport, State, StepReport};
 use crate::step::Stage;
@@ -57,28 +53,6 @@ impl Mask {
 
 /// Last stages before the set-up of the solve; the second is absent with a fixed surface and fixed bodies.
 const BEFORE: [Stage; 2] = [Stage::Forces, Stage::LiquidDistance];
-
-/// GPU paths of a scene with several solvers, compiled by the sub-step after a state. Solvers in f64 are skipped where the adapter lacks it.
-pub(super) fn open_paths(
-    scene: &Scene,
-    solvers: impl IntoIterator<Item = Solver>,
-    state: &State,
-    adapter: &AdapterChoice,
-) -> Result<Vec<(Precision, GpuPath)>, Error> {
-    let (mut scene, mut paths) = (scene.clone(), Vec::new());
-    for solver in solvers {
-        scene.solver = solver;
-        match GpuPath::open(&scene, adapter) {
-            Ok(mut path) => {
-                sub_step(&mut path, state)?;
-                paths.push((solver.precision, path));
-            }
-            Err(Error::Limit { .. }) if solver.precision == Precision::F64 => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(paths)
-}
 
 /// Computes the sub-step after a state. The seconds of the solve include its set-up: active cells and hierarchy, rotations of
 /// the elements, right-hand sides.
@@ -139,22 +113,4 @@ pub(super) fn solve_columns(report: &StepReport, tolerance: f64, seconds: Spread
 /// Seconds of some stages of a sub-step.
 pub(super) fn stage_seconds(report: &StepReport, stages: &[&str]) -> f64 {
     report.seconds.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
-}
-
-/// Largest errors of pressure (Pa), node velocity and face velocity (m/s) of a liquid and solids at rest; NaN if any value is.
-/// `pressure`: the exact one, `None` where errors do not count.
-pub(super) fn rest_errors(
-    scene: &Scene,
-    mask: &Mask,
-    done: &Done,
-    pressure: impl Fn(DVec3) -> Option<f64>,
-) -> [f64; 3] {
-    let grid = scene.grid();
-    let cells = done.solution.pressure.iter().zip(&mask.cells).enumerate();
-    let exact = |cell| pressure(grid.cell_centre(grid.cell_at(cell)));
-    let off = cells.filter(|(_, (_, counts))| **counts).filter_map(|(cell, (p, _))| Some((p - exact(cell)?).abs()));
-    let faces = done.faces.iter().flatten().zip(mask.faces.iter().flatten());
-    let faces = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
-    let nodes = done.solution.velocity.as_flattened().iter();
-    [off.fold(0.0, larger), nodes.map(|v| v.abs()).fold(0.0, larger), faces.fold(0.0, larger)]
 }

@@ -1,4 +1,4 @@
-//! The added-mass limit of weak coupling, in one dimension.
+//! The added-mass limit of weak coupling, in one dimension, for the suite and for the validation.
 //!
 //! A piston of mass m_s and spring k per area is pushed from rest against a column of liquid m_a = rho L. The column has p = 0 at its other end.
 //! Weak coupling applies the pressure of the last sub-step, p = -m_a (v_n - v_(n-1)) / dt. Backward Euler of the solid is m_s (v_(n+1) - v_n) + dt
@@ -10,13 +10,11 @@
 //!
 //! Without a spring z = -r is a root for every dt; z = -1 is a root if r = 1 + a / 4.
 
-use crate::Error;
-use crate::measure::bench::table::{Row, columns, row};
-use crate::scene::Scene;
-use crate::sim::{Backend, Simulation};
+use cutwater::scene::Scene;
+use cutwater::sim::{Backend, Simulation};
 
-/// Relative tolerance of the growth per sub-step, and distance to the limit.
-const TOLERANCE: f64 = 0.05;
+/// Distance of the closest columns from the limit.
+pub(crate) const DISTANCE: f64 = 0.05;
 /// Young's modulus of a rigid piston, Pa.
 const RIGID: f64 = 1e11;
 /// Cell size, m.
@@ -25,79 +23,38 @@ const DX: f64 = 0.03;
 const PISTON: f64 = 20.5;
 /// Length of the column, m.
 const COLUMN: f64 = 0.9;
-const SCENE: &str = include_str!("limit.toml");
 
 /// A column of liquid on a piston.
-#[derive(Clone, Copy, Debug)]
-pub struct Limit {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Column {
     /// Frequency of the spring times the sub-step, w dt; 0 without a spring.
-    omega_dt: f64,
+    pub(crate) omega_dt: f64,
     /// m_a / m_s over the limit 1 + (w dt)^2 / 4.
-    over: f64,
+    pub(crate) over: f64,
     /// s
-    dt: f64,
-}
-
-columns! {
-    LIMIT {
-        + passed "" "whether the growth is within the tolerance and on the side of 1 that theory gives";
-        + name "" "name";
-        + ratio "" "m_a / m_s";
-        - omega_dt "" "w dt of the spring";
-        - dt "s" "sub-step";
-        - over_limit "" "m_a / m_s over the limit 1 + (w dt)^2 / 4: above 1 weak coupling is unstable";
-        + expected "" "growth of the velocity per sub-step by the formula, or measured with the longer sub-step";
-        + got "" "measured";
-        - off "" "relative difference";
-        - tolerance "" "bound of `off`";
-    }
+    pub(crate) dt: f64,
 }
 
 /// Without a spring at two lengths of the sub-step, and with one 5 % below the limit and 5 % above.
-pub fn limits() -> Vec<Limit> {
-    let mut limits = Vec::new();
+pub(crate) fn columns() -> Vec<Column> {
+    let mut columns = Vec::new();
     for dt in [0.01, 0.0025] {
-        limits.extend([0.5, 0.8, 1.25, 2.0].map(|over| Limit { omega_dt: 0.0, over, dt }));
+        columns.extend([0.5, 0.8, 1.25, 2.0].map(|over| Column { omega_dt: 0.0, over, dt }));
     }
     for omega_dt in [1.0, 3.2] {
-        limits.extend([1.0 - TOLERANCE, 1.0 + TOLERANCE].map(|over| Limit { omega_dt, over, dt: 0.01 }));
+        columns.extend([1.0 - DISTANCE, 1.0 + DISTANCE].map(|over| Column { omega_dt, over, dt: 0.01 }));
     }
-    limits
+    columns
 }
 
-/// Growth without a spring at two lengths of the sub-step, one against the other: shorter sub-steps do not help.
-pub(super) fn step_lengths(rows: &[Row]) -> Vec<Row> {
-    let pairs = rows.iter().enumerate().filter_map(|(number, long)| {
-        let same = |other: &&Row| {
-            other.number("omega_dt") == 0.0
-                && other.contains(&long.only(&["omega_dt", "ratio"]))
-                && other.get("dt") != long.get("dt")
-        };
-        Some((long, rows[number + 1..].iter().find(same)?))
-    });
-    let row = |(long, short): (&Row, &Row)| {
-        let off = short.number("got") / long.number("got") - 1.0;
-        let name = format!("{}_and_{}", long.text("name"), short.number("dt"));
-        let passed = off.abs() <= TOLERANCE;
-        short.clone().with(row! { name, expected: long.number("got"), off, passed })
-    };
-    pairs.map(row).collect()
-}
-
-impl Limit {
-    /// `limit_` and its numbers.
-    pub fn name(&self) -> String {
-        let Limit { omega_dt, over, dt } = self;
-        format!("limit_{over}_w_dt_{omega_dt}_dt_{dt}")
-    }
-
+impl Column {
     /// m_a / m_s
-    fn ratio(&self) -> f64 {
+    pub(crate) fn ratio(&self) -> f64 {
         self.over * (1.0 + 0.25 * self.omega_dt.powi(2))
     }
 
-    /// Growth per sub-step: magnitude of the negative root, by bisection.
-    fn growth(&self) -> f64 {
+    /// Growth of the velocity per sub-step by theory: magnitude of the negative root, by bisection.
+    pub(crate) fn growth(&self) -> f64 {
         let (a, r) = (self.omega_dt.powi(2), self.ratio());
         let cubic = |z: f64| (((1.0 + a) * z + r - 2.0) * z + 1.0 - 2.0 * r) * z + r;
         // Below zero the cubic rises from minus infinity to r > 0 at z = 0.
@@ -109,7 +66,7 @@ impl Limit {
         -low
     }
 
-    fn scene(&self) -> Result<Scene, Error> {
+    fn scene(&self) -> Scene {
         let length = PISTON * DX;
         let mass = 1000.0 * COLUMN / self.ratio();
         let spring = mass * (self.omega_dt / self.dt).powi(2);
@@ -137,32 +94,48 @@ impl Limit {
             let pins = [pin(length, "yz"), pin(0.001, "x")].join(", ");
             overrides.push(format!("solid[0].pin=[{pins}]"));
         }
-        Scene::parse("limit.toml".as_ref(), SCENE, &overrides, 1.0)
+        Scene::parse("added_mass.toml".as_ref(), include_str!("added_mass.toml"), &overrides, 1.0).unwrap()
     }
 
-    /// Measures the growth.
-    pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
+    /// Computed growth of the velocity per sub-step.
+    pub(crate) fn measure(&self, backend: &Backend) -> f64 {
         // Until the other roots have decayed: without a spring the only one is 1, with a constant velocity.
         let (steps, over) = if self.omega_dt > 0.0 { (40, 8) } else { (10, 6) };
-        let mut simulation = Simulation::new(&self.scene()?, backend)?;
+        let mut simulation = Simulation::new(&self.scene(), backend).unwrap();
         let end = PISTON * DX;
         let mut velocities = Vec::new();
         for _ in 0..steps {
-            simulation.step()?;
-            let state = simulation.state()?;
+            simulation.step().unwrap();
+            let state = simulation.state().unwrap();
             let nodes = simulation.solids().rest.iter().zip(&state.node_velocity);
             let at_end: Vec<f64> = nodes.filter(|(x, _)| (x.x - end).abs() < 1e-6).map(|(_, v)| v[0]).collect();
             velocities.push(at_end.iter().sum::<f64>() / at_end.len() as f64);
         }
         let changes: Vec<f64> = velocities.windows(2).map(|v| v[1] - v[0]).collect();
         let last = changes.len() - 1;
-        let got = (changes[last] / changes[last - over]).abs().powf(1.0 / over as f64);
-        let expected = self.growth();
-        let off = got / expected - 1.0;
-        let passed = off.abs() <= TOLERANCE && (got > 1.0) == (self.over > 1.0);
-        Ok(row! {
-            name: self.name(), ratio: self.ratio(), omega_dt: self.omega_dt, dt: self.dt, over_limit: self.over, expected, got, off,
-            tolerance: TOLERANCE, passed,
-        })
+        (changes[last] / changes[last - over]).abs().powf(1.0 / over as f64)
+    }
+}
+
+#[test]
+fn weak_coupling_grows_by_the_ratio_of_added_mass_whatever_the_sub_step() {
+    let Some(_) = crate::common::gpu() else { return };
+    let backend = Backend::Gpu(crate::common::adapter());
+    for over in [0.8, 2.0] {
+        let growth = [0.01, 0.0025].map(|dt| Column { omega_dt: 0.0, over, dt }.measure(&backend));
+        assert!(growth.iter().all(|got| (got / over - 1.0).abs() <= 5e-3), "{growth:?} where {over}");
+    }
+}
+
+/// 5 % below the limit m_a / m_s = 1 + (w dt)^2 / 4 motion decays, 5 % above it grows.
+#[test]
+fn weak_coupling_has_its_limit_within_5_percent() {
+    let springs = columns().into_iter().filter(|column| column.omega_dt > 0.0);
+    let springs: Vec<Column> = springs.collect();
+    assert_eq!(springs.len(), 4);
+    for column in springs {
+        let (got, expected) = (column.measure(&Backend::Cpu), column.growth());
+        assert!((got / expected - 1.0).abs() <= 5e-3, "{column:?}: {got} where {expected}");
+        assert_eq!(got > 1.0, column.over > 1.0, "{column:?}: {got}");
     }
 }
