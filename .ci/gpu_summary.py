@@ -118,7 +118,7 @@ def solve_section(folder):
             r["iterations"],
             f"{milliseconds(r['seconds_median'])} ({milliseconds(r['seconds_min'])}, {milliseconds(r['seconds_max'])})",
             engineering(r["cells_per_second"]),
-            percent(number(r["share_of_copy_bandwidth"])),
+            percent(number(r["share_of_copy_bandwidth"])) if r["share_of_copy_bandwidth"] else "",
             r["waits"],
             r["dispatches"],
             percent(number(r["idle_seconds"]) / number(r["seconds_median"])),

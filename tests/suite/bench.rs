@@ -9,7 +9,6 @@ use cutwater::measure::bench::accuracy::{cheapest, ensure_truth, recommended};
 use cutwater::measure::bench::effects::pairs::{self, Cost};
 use cutwater::measure::bench::effects::{bytes_in_use, costs};
 use cutwater::measure::bench::ended::{Ended, is_solved};
-use cutwater::measure::bench::outputs::scratch;
 use cutwater::measure::bench::solve::{Capacity, PER_CELL};
 use cutwater::measure::bench::statistics::{Spread, exponent, exponents};
 use cutwater::measure::bench::step::{largest, units};
@@ -405,24 +404,4 @@ fn a_buffer_that_grew_counts_once() {
     assert_eq!(bytes_in_use(&made(&twice), 4), 1211, "b again, and d");
     let download = [&start[..], &[("a (read-back)", 1)]].concat();
     assert_eq!(bytes_in_use(&made(&download), 4), 131, "a download");
-}
-
-#[test]
-fn frames_are_timed_in_a_folder_that_goes() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path();
-    let left = out.join(".bench_effects/frames/of_a_bench_that_was_killed.vtp");
-    fs::create_dir_all(left.parent().unwrap()).unwrap();
-    fs::write(&left, "").unwrap();
-    let frames = scratch(out).unwrap();
-    assert!(!left.exists() && frames.starts_with(out));
-    fs::remove_dir(frames).unwrap();
-    let file = out.join(".bench_effects");
-    fs::write(&file, "not the bench's").unwrap();
-    for out in [out, file.as_path()] {
-        let error = scratch(out).unwrap_err();
-        assert_eq!(error.exit_code(), 2, "{error}");
-        assert!(error.to_string().contains(".bench_effects"), "{error}");
-    }
-    assert!(file.is_file());
 }

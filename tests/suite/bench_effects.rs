@@ -1,5 +1,5 @@
-//! `bench effects` on small scenes: what an effect adds is its own, and what is not there adds nothing; what outputs take. An effect that is
-//! taken away leaves nothing.
+//! `bench effects` on small scenes: what an effect adds is its own, and what is not there adds nothing. An effect that is taken away
+//! leaves nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -25,24 +25,20 @@ fn effects_add_what_is_theirs() {
         frames: 2,
         adapter: adapter(),
     };
-    let of_run = folder.path().join("frames/of_a_run.vtp");
-    fs::create_dir(folder.path().join("frames")).unwrap();
-    fs::write(&of_run, "").unwrap();
     let mut told = 0;
     let results = measure(&options, &settings(folder.path(), 1), &mut |event| {
         let Event::Row(table, row) = event else {
             return;
         };
         told += 1;
-        if table.name == "effects" {
-            let written = folder.path().join("effects_outputs.csv").is_file();
-            let expected = row.text("scene") != "dam_break";
-            assert_eq!(written, expected, "before those of {row:?} are written");
-        }
+        assert_eq!(table.name, "effects");
+        let written = folder.path().join("effects.csv").is_file();
+        let expected = row.text("scene") != "dam_break";
+        assert_eq!(written, expected, "before those of {row:?} are written");
     })
     .unwrap();
-    let [table, outputs] = ["effects", "effects_outputs"].map(|name| results.rows(name));
-    assert_eq!(told, table.len() + outputs.len());
+    let table = results.rows("effects");
+    assert_eq!(told, table.len());
     let row = |scene: &str, effect: &str| -> &Row {
         let mut rows = table.iter();
         rows.find(|row| row.text("scene") == scene && row.text("effect") == effect).unwrap()
@@ -121,34 +117,7 @@ fn effects_add_what_is_theirs() {
     let line = |line: &&str| line.starts_with("hydrostatic_block,liquid,true,");
     let line = text.lines().find(line).unwrap();
     assert!(line.ends_with(",,,,,,,,,,,,,0,"), "{line}");
-    let of_scene = |scene: &str| -> Vec<(&str, bool)> {
-        let rows = outputs.iter().filter(|row| row.text("scene") == scene);
-        rows.map(|row| (row.text("output"), row.flag("present"))).collect()
-    };
-    let all = ["read_back", "particles", "fields", "surface", "solids", "checkpoint", "preview"];
-    let solid_and_liquid = all.map(|name| (name, !["fields", "surface", "preview"].contains(&name)));
-    assert_eq!(of_scene("dam_break"), solid_and_liquid);
-    let still = of_scene("hydrostatic_block");
-    assert!(still.iter().all(|(name, _)| *name != "solids"));
-    assert!(of_scene("gate").contains(&("moving_obstacles", true)));
-    for row in outputs {
-        let seconds = numbers(row, ["seconds_low", "seconds", "seconds_high"]);
-        assert!(seconds.is_sorted() && seconds[0] >= 0.0, "{row:?}");
-        let written = (row.count("frames"), row.number("bytes") > 0.0);
-        assert_eq!(written, (2, row.text("output") != "read_back"), "{row:?}");
-    }
-    // Three coordinates and three components of a velocity of four bytes for each marker, in base 64, and a little more.
-    let gate = on_gpu(&load("gate", 0.5));
-    let markers = gate.state().unwrap().markers.len() as f64;
-    let particles = row! { scene: "gate", output: "particles" };
-    let particles = outputs.iter().find(|row| row.contains(&particles));
-    let bytes = particles.unwrap().number("bytes");
-    let expected = 32.0 * markers..60.0 * markers;
-    assert!(expected.contains(&bytes), "{bytes} for {markers} markers");
-    assert!(of_run.is_file(), "a frame of the run is gone");
-    let left = folder.path().join(".bench_effects");
-    assert!(!left.exists(), "frames were left");
-    for file in ["effects.csv", "effects.json", "effects.svg", "effects_outputs.csv"] {
+    for file in ["effects.csv", "effects.json", "effects.svg"] {
         let text = fs::read_to_string(folder.path().join(file)).unwrap();
         assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
         if file.ends_with(".json") {

@@ -30,7 +30,7 @@ enum Name {
     /// accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv, accuracy.json, accuracy.svg,
     /// accuracy_grids.svg
     Accuracy(Accuracy),
-    /// Cost of each effect of a scene per sub-step, and of each output per frame: effects.csv, effects_outputs.csv, effects.json, effects.svg
+    /// Cost of each effect of a scene per sub-step: effects.csv, effects.json, effects.svg
     Effects(Effects),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg
     Step(step::Step),

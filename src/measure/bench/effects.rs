@@ -1,8 +1,8 @@
-//! `bench effects`: time, bytes and dispatches that each effect of a scene adds to a sub-step, and the cost of each output of a frame.
+//! `bench effects`: time, bytes and dispatches that each effect of a scene adds to a sub-step.
 //!
 //! From the state after each frame, a sub-step runs with all effects and without one of them, in alternating order. The seconds that an effect adds are
 //! the median of the paired differences, with an interval that contains their true median. Bytes are those of all buffers at the end. Dispatches of
-//! the solve depend on its iterations and have their own column. Every output is timed on the same states ([`super::outputs`]).
+//! the solve depend on its iterations and have their own column.
 //!
 //! `liquid` and `solids` include their coupling. The row [`COUPLING`] is the scene less its liquid alone less its solids alone.
 
@@ -10,12 +10,9 @@ mod left_out;
 pub mod pairs;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::path::Path;
 use std::time::Instant;
 
 use super::chart::{Bars, Page};
-use super::outputs::{self, OUTPUT};
 use super::statistics::Spread;
 use super::table::{Row, Table, columns, row};
 use super::{Bench, Case, Listener, Machine, Results, Rows, Run, SEED, Settings, hashes};
@@ -74,34 +71,25 @@ columns! {
     }
 }
 
-/// Measures all scenes: effects.csv, effects_outputs.csv, effects.json, effects.svg. Failures: scenes with absent effects that have a cost.
+/// Measures all scenes: effects.csv, effects.json, effects.svg. Failures: scenes with absent effects that have a cost.
 ///
 /// # Errors
 /// [`Error::Output`], before any work if the folder cannot be written; errors of the simulations.
 pub fn measure(options: &Options, settings: &Settings, listener: Listener) -> Result<Results, Error> {
     let bench = Bench {
         name: "effects",
-        tables: vec![
-            Table::new("effects", &[EFFECT], &["scene", "effect"]),
-            Table::new("effects_outputs", &[OUTPUT], &["scene", "output"]),
-        ],
+        tables: vec![Table::new("effects", &[EFFECT], &["scene", "effect"])],
         derive: |_| {},
         pictures: &[("effects", draw)],
     };
     // A separate device, whose buffers do not count.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
     let mut run = Run::start(bench, machine, &(hashes(&options.scenes), options.frames), settings, listener)?;
-    let scratch = outputs::scratch(&settings.out)?;
-    // `report` ignores folders of this name.
-    let frames = scratch.join("frames");
     let cases = options.scenes.iter().map(|scene| {
         let key = row! { scene: scene.name.as_str(), effect: ITSELF };
-        Case::new("effects", key, |_| scene_rows(scene, options, &frames))
+        Case::new("effects", key, |_| scene_rows(scene, options))
     });
-    let done = run.cases(cases.collect());
-    // After a failure the next bench tries again and reports it.
-    let _ = fs::remove_dir_all(&scratch);
-    done?;
+    run.cases(cases.collect())?;
     let failed = run.results.rows("effects").iter().filter(|row| row.text("effect") == ABSENT && costs(row));
     run.results.failures = failed.map(failure).collect();
     Ok(run.results)
@@ -186,8 +174,8 @@ pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
     in_use.sum()
 }
 
-/// Rows of the effects and of the outputs of a scene.
-fn scene_rows(scene: &Scene, options: &Options, frames: &Path) -> Result<Rows, Error> {
+/// Rows of the effects of a scene.
+fn scene_rows(scene: &Scene, options: &Options) -> Result<Rows, Error> {
     // States at the start and after each frame, from a separate path: buffers that grow meanwhile would count for the whole scene only.
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     let mut states = vec![simulation.state()?];
@@ -213,10 +201,7 @@ fn scene_rows(scene: &Scene, options: &Options, frames: &Path) -> Result<Rows, E
             }
         }
     }
-    let rows = rows(scene, &whole, &parts);
-    let outputs = outputs::measure(scene, &mut whole.simulation, &states, frames, &mut random)?;
-    let outputs = outputs.into_iter().map(|row| ("effects_outputs", row));
-    Ok(rows.into_iter().map(|row| ("effects", row)).chain(outputs).collect())
+    Ok(rows(scene, &whole, &parts).into_iter().map(|row| ("effects", row)).collect())
 }
 
 /// The scene without each of its effects, the control, and the scene itself.

@@ -11,7 +11,6 @@ pub mod device;
 pub mod effects;
 pub mod ended;
 mod machine;
-pub mod outputs;
 pub mod solve;
 pub mod stability;
 pub mod statistics;

@@ -6,10 +6,9 @@
 mod capacity;
 mod reference_solvers;
 
-use std::collections::BTreeSet;
 use std::time::Instant;
 
-use super::bytes::{SolidBytes, SolveBytes};
+use super::bytes::SolveBytes;
 use super::chart::{Chart, Page, lines};
 use super::ended::Ended;
 use super::statistics::{Spread, exponent, grouped};
@@ -91,7 +90,7 @@ columns! {
         ~ seconds "s" "seconds of a solve";
         + residual_p, residual_v "" "true relative residuals of the pressure and of the solids' velocity; 0 without solids";
         - cells_per_second "1/s" "active cells over the median seconds";
-        - bytes "B" "least memory traffic";
+        - bytes "B" "least memory traffic; empty with solids";
         - share_of_copy_bandwidth "" "`bytes` per second over the copy bandwidth";
     }
     /// The same system on the CPU.
@@ -174,7 +173,7 @@ pub fn measure(gpu: &Gpu, options: &Options, settings: &Settings, listener: List
 }
 
 /// Bricks across the thesis's beam on grids of about this many cells along an edge.
-pub(super) fn bricks_across(grid: usize) -> usize {
+fn bricks_across(grid: usize) -> usize {
     match grid {
         ..50 => 2,
         50..70 => 3,
@@ -185,8 +184,6 @@ pub(super) fn bricks_across(grid: usize) -> usize {
 /// A system on the device.
 struct Device<'a> {
     buffers: &'a SolverBuffers,
-    /// Degree of the solids' polynomial.
-    degree: u32,
     /// Restores the right-hand sides, which a solve replaces.
     prepare: &'a dyn Fn(),
     /// Sets the system up and solves it.
@@ -274,8 +271,7 @@ impl Measurement<'_> {
         let scene = BaseScene::new(grid, &beam)?;
         let system = scene.coupled_system();
         let device = DeviceScene::new(self.gpu, &scene, &system, &self.solver)?;
-        let (buffers, degree) = (&device.liquid, device.polynomial.degree);
-        let device = Device { buffers, degree, prepare: &|| device.reset(), solve: &|| device.solve() };
+        let device = Device { buffers: &device.liquid, prepare: &|| device.reset(), solve: &|| device.solve() };
         self.rows(run, Assembled::Both(&system, &scene.solids), &device, allocated)
     }
 
@@ -298,7 +294,7 @@ impl Measurement<'_> {
             let no_solids = SolveOutcome { residual: 0.0, ..liquid };
             Ok(CoupledOutcome { parts: [liquid, no_solids], condensed: false })
         };
-        let device = Device { buffers: &buffers, degree: 0, prepare: &|| {}, solve: &solve };
+        let device = Device { buffers: &buffers, prepare: &|| {}, solve: &solve };
         self.rows(run, Assembled::Pressure(&assembled), &device, allocated)
     }
 
@@ -332,11 +328,12 @@ impl Measurement<'_> {
         })?;
         let ([active_cells, nodes], seconds) = (system.sizes(), timed[0].spread());
         let key = key.clone().with(row! { active_cells, solid_nodes: nodes });
-        let (status, bytes) = (ended.name(solver.tolerance), self.least_bytes(system, device, &solved)?);
+        let status = ended.name(solver.tolerance);
+        let bytes = self.least_bytes(system, device.buffers, &solved.parts[0])?;
         let own = row! {
             status, iterations: ended.iterations, rounds: solved.parts[0].refinements, runs: timed[0].runs(), seconds,
             residual_p: ended.residuals[0], residual_v: ended.residuals[1], cells_per_second: active_cells as f64 / seconds.median, bytes,
-            share_of_copy_bandwidth: run.results.machine.share(bytes, seconds.median), idle_seconds: Spread::of(idle).median,
+            share_of_copy_bandwidth: bytes.map(|bytes| run.results.machine.share(bytes, seconds.median)), idle_seconds: Spread::of(idle).median,
             device_bytes: allocated_bytes(gpu) - allocated,
         };
         let mut rows = vec![("solve", key.clone().with(own).with(traffic_counts(&timed[0].outcome.1)))];
@@ -348,25 +345,23 @@ impl Measurement<'_> {
         Ok(rows)
     }
 
-    /// Least memory traffic of a solve.
-    fn least_bytes(&self, system: Assembled, device: &Device, solved: &CoupledOutcome) -> Result<f64, Error> {
-        let (buffers, outcome) = (device.buffers, &solved.parts[0]);
-        let pressure = SolveBytes {
-            unknowns: system.sizes()[0] as f64,
+    /// Least memory traffic of a solve for the pressure; `None` with solids.
+    fn least_bytes(
+        &self,
+        system: Assembled,
+        buffers: &SolverBuffers,
+        outcome: &SolveOutcome,
+    ) -> Result<Option<f64>, Error> {
+        let Assembled::Pressure(system) = system else { return Ok(None) };
+        let bytes = SolveBytes {
+            unknowns: system.n_unknowns() as f64,
             not_uniform: not_uniform(self.gpu, buffers)?,
             iterations: f64::from(outcome.iterations),
             refinements: f64::from(outcome.refinements),
             widths: [buffers.variant.inner, buffers.variant.real].map(|real| real.bytes() as f64),
             preconditioner: self.solver.preconditioner,
         };
-        let coupled = match system {
-            Assembled::Pressure(_) => None,
-            Assembled::Both(coupled, solids) => {
-                let wet_nodes = || coupled.coupling.pairs().iter().map(|pair| pair.node).collect::<BTreeSet<_>>().len();
-                Some(SolidBytes::new(solids, pressure.widths, device.degree, solved.condensed.then(wet_nodes)))
-            }
-        };
-        Ok(pressure.total(coupled))
+        Ok(Some(bytes.total()))
     }
 }
 
