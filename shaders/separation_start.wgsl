@@ -94,7 +94,7 @@ fn at_open_side(cell: vec3<i32>) -> bool {
     return false;
 }
 
-// Lanes that may be beside air: among the neighbours of the others no cell has any, open faces or not. `cell`: the first lane.
+// Lanes with air in or beside them, whatever the apertures: they include all lanes beside air in the domain. cell: of the first lane.
 fn lanes_near_air(quad: u32, cell: vec3<i32>) -> u32 {
     // Bit l + 1: cells with air whose x is that of lane l.
     var air = 0u;

@@ -64,7 +64,7 @@ impl Rounds<'_> {
     }
 
     /// Repeats a solve until the set is unchanged. A round waits as often as a solve, and starts from the solution of the last one. Where no
-    /// cell is separated before, mostly none will be, and no round is rough.
+    /// cell is separated before and no closed liquid opens, mostly none will be, and no round is rough.
     /// `solve` gets work for the end of each of its submissions, and returns whether that work has read the solution.
     ///
     /// The recording that is returned restores the system of all active cells.

@@ -87,7 +87,7 @@ pub(super) struct Pace {
     pub(super) steps: usize,
 }
 
-/// A solve of the past.
+/// Cost of a completed solve.
 #[derive(Clone, Copy, Debug)]
 struct Past {
     aim: Aim,
@@ -100,10 +100,8 @@ struct Past {
 struct Latest(Mutex<VecDeque<Past>>);
 
 impl Latest {
-    /// Number of solves with the same aim that count: active sets of a sub-step alternate.
+    /// Number of solves kept of each aim: active sets of a sub-step alternate.
     const N: usize = 8;
-    /// Number of solves kept: rounds of separation have up to four aims.
-    const KEPT: usize = 4 * Latest::N;
     /// Iterations of a refinement step in excess of the mean: the first takes more than the others.
     const SPARE: usize = 2;
 
@@ -111,14 +109,18 @@ impl Latest {
     fn push(&self, aim: Aim, solved: &Outcome, recorded: Option<usize>) {
         let steps = recorded.unwrap_or(solved.refinements as usize);
         let mut list = lock(&self.0);
-        list.truncate(Latest::KEPT - 1);
         list.push_front(Past { aim, iterations: solved.iterations as usize, steps: steps.max(1) });
+        let mut same = 0;
+        list.retain(|past| {
+            same += usize::from(past.aim == aim);
+            past.aim != aim || same <= Latest::N
+        });
     }
 
     /// Pace that the latest solves with an aim would have needed; that of the first one without any.
     fn pace(&self, aim: Aim, first: Pace) -> Pace {
         let list = lock(&self.0);
-        let same = || list.iter().filter(|past| past.aim == aim).take(Latest::N);
+        let same = || list.iter().filter(|past| past.aim == aim);
         let mean = same().map(|past| past.iterations.div_ceil(past.steps)).max();
         let steps = same().map(|past| past.steps).max();
         Pace {

@@ -1,7 +1,7 @@
 //! Separation, a part of `solve`: the set of cells that leave walls and bodies (`reference/separation.rs` has the theory).
 //!
-//! A round solves with the separated cells as air whose surface lies at their centres, then updates the set. The first rounds are rough
-//! where cells separated in the last sub-step, since that set changes a lot; the last round never is. The system of a round
+//! A round solves with the separated cells as air whose surface lies at their centres, then updates the set. Where cells separated in the
+//! last sub-step, or closed liquid opens, that set changes a lot: the first rounds are rough until the set is unchanged. The system of a round
 //! is that of `active_cells` for the liquid distance with 0 in separated cells; rounds without any use the system at hand.
 
 use crate::Error;

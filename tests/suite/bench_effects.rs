@@ -97,12 +97,13 @@ fn effects_add_what_is_theirs() {
             assert_eq!(row.flag("present"), kinds.contains(&kind.name), "{row:?}");
         }
     }
-    // A path of the same scene takes the same buffers, kernels and dispatches. Of two pairs nothing is told.
+    // A path of the same scene takes the same buffers, kernels and dispatches, in the solve as many as its earlier solves let it record. The rounds
+    // of separation of the gate differ between frames. Of two pairs nothing is told.
     for scene in ["dam_break", "hydrostatic_block", "gate"] {
         for effect in [ABSENT, ITSELF] {
             let row = row(scene, effect);
-            let counts = ["bytes_added", "dispatches_added", "solve_dispatches_added", "dispatches_differ"];
-            assert_eq!(numbers(row, counts), [0.0; 4], "{row:?}");
+            assert_eq!(numbers(row, ["bytes_added", "dispatches_added", "dispatches_differ"]), [0.0; 3], "{row:?}");
+            assert!(scene == "gate" || row.number("solve_dispatches_added") == 0.0, "{row:?}");
             assert_eq!(row.text("seconds_told"), "too few pairs", "{row:?}");
             assert!(!row.has("seconds_told_low"), "{row:?}");
         }

@@ -99,7 +99,7 @@ fn cost(mut simulation: Simulation, steps: usize) -> (u32, u32) {
     (iterations, rounds)
 }
 
-/// Rough solves find the set: together they cost at most 60 % of a solve. Where the host refines they start from zero, and cost more.
+/// Two rough solves mostly find the set: all rounds after the first add at most 60 % of a solve. Where the host refines they start from zero, and cost more.
 #[test]
 fn a_set_that_changes_costs_little() {
     if !gpu().is_some_and(|gpu| gpu.has_f64()) {

@@ -23,6 +23,9 @@ fn limit(sheet: &mut Sheet) {
             "weak coupling, m_a/m_s = {ratio:.3}, w dt = {omega_dt}, dt = {dt} s: growth of the velocity per sub-step"
         );
         sheet.relative(&what, column.growth(), *got, DISTANCE);
+        let beyond = column.over > 1.0;
+        let side = if beyond { "more than 1" } else { "at most 1" };
+        sheet.holds(&format!("{what}, side of the limit"), side, format!("{got:.4}"), (*got > 1.0) == beyond);
     }
     let free = |dt: f64| {
         let free = found.iter().filter(move |(column, _)| column.omega_dt == 0.0 && column.dt == dt);
@@ -33,7 +36,7 @@ fn limit(sheet: &mut Sheet) {
     let changes = long.iter().zip(&short);
     let changes = changes.map(|([_, long], [_, short])| (short / long - 1.0).abs());
     let what = "weak coupling without a spring: change of the growth in a quarter of the sub-step";
-    sheet.info(what, format!("{:.1e}", changes.fold(0.0, larger)));
+    sheet.at_most(what, changes.fold(0.0, larger), DISTANCE);
     sheet.chart(
         "weak coupling of a piston without a spring and a column",
         ["mass of the column over that of the piston", "growth per sub-step"],
