@@ -231,7 +231,7 @@ impl Record<'_> {
                     (true, false) => "host",
                 };
                 let row = key.clone().with(row! {
-                    stage, where: place, seconds: over_runs(&runs, &|sample| stage_seconds(&sample.report, &[stage])),
+                    stage, where: place, seconds: over_runs(&runs, &|sample| stage_seconds(&sample.report, stage)),
                     dispatches: mean(first, &|sample| sample.trace.dispatches.iter().filter(|(name, _)| *name == stage).count() as f64),
                     waits: mean(first, &|sample| sample.trace.waits.iter().filter(|name| **name == stage).count() as f64),
                 });

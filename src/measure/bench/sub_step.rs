@@ -90,7 +90,7 @@ pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
     let report = path.step(path.next_time_step())?;
     let State { pressure, node_velocity: velocity, velocity: faces, .. } = path.state().clone();
     Ok(Done {
-        seconds: stage_seconds(&report, &[Stage::Solve.name()]),
+        seconds: stage_seconds(&report, Stage::Solve.name()),
         report,
         solution: Solution { pressure, velocity },
         faces,
@@ -110,7 +110,7 @@ pub(super) fn solve_columns(report: &StepReport, tolerance: f64, seconds: Spread
     }
 }
 
-/// Seconds of some stages of a sub-step.
-pub(super) fn stage_seconds(report: &StepReport, stages: &[&str]) -> f64 {
-    report.seconds.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, seconds)| seconds).sum()
+/// Seconds of a stage of a sub-step.
+pub(super) fn stage_seconds(report: &StepReport, stage: &str) -> f64 {
+    report.seconds.iter().filter(|(name, _)| *name == stage).map(|(_, seconds)| seconds).sum()
 }
